@@ -1,0 +1,31 @@
+"""The one error a user can cause: wrong input. Its message is one sentence that says what is wrong and what to do.
+
+Nothing but the error type and its printing at a door belongs here.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class InputError(ValueError):
+    """Input that cannot be used: a scene, a file, a setting. The message is one sentence for the user."""
+
+
+@contextmanager
+def told_plainly(door: str) -> Iterator[None]:
+    """Turn an `InputError` raised inside into one line on stderr and exit status 2.
+
+    Args:
+        door: name of the command, printed before the sentence.
+
+    Raises:
+        SystemExit: status 2 after an `InputError`; other exceptions pass through with their traceback.
+    """
+    try:
+        yield
+    except InputError as error:
+        print(f"{door}: {error}", file=sys.stderr)
+        raise SystemExit(2) from error

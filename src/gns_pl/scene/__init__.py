@@ -1,0 +1,27 @@
+"""What is to be simulated, before any discretisation: a box, gravity, materials, bodies, walls and a duration.
+
+`definition` holds the frozen `Scene` and its plain-dict form, `catalogue` the standard scenes and their random
+families, `filling` puts particles into bodies. No solver, no network and no file of trajectories is known here.
+"""
+
+from gns_pl.scene.catalogue import block_release, column_collapse, cube_drop, sample_block_release, sample_cube_drop
+from gns_pl.scene.definition import FACES, Body, Material, Scene, Wall, read_scene, scene_from_dict, write_scene
+from gns_pl.scene.filling import Particles, fill_scene
+
+__all__ = [
+    "FACES",
+    "Body",
+    "Material",
+    "Particles",
+    "Scene",
+    "Wall",
+    "block_release",
+    "column_collapse",
+    "cube_drop",
+    "fill_scene",
+    "read_scene",
+    "sample_block_release",
+    "sample_cube_drop",
+    "scene_from_dict",
+    "write_scene",
+]

@@ -1,0 +1,201 @@
+"""The standard scenes and their random families; the numbers come from the caller (conf/), the geometry is here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from gns_pl.errors import InputError
+from gns_pl.scene.definition import Body, Material, Scene, Wall
+
+
+def cube_drop(
+    *,
+    domain: Sequence[float],
+    side: float,
+    position: Sequence[float],
+    velocity: Sequence[float],
+    gravity: float,
+    duration: float,
+    material: Material,
+    walls: Mapping[str, Wall],
+    name: str = "cube_drop",
+) -> Scene:
+    """Return a box with its corner at the origin in which one cube (square if D = 2) starts with a velocity.
+
+    Args:
+        domain: edge lengths of the box [D] [m].
+        side: edge of the cube [m].
+        position: lower corner of the cube [D] [m].
+        velocity: initial velocity of the cube [D] [m/s].
+        gravity: magnitude [m/s²], acting along the last axis.
+        duration: simulated time [s].
+        material: what the cube is made of.
+        walls: face → wall, every face.
+        name: name of the scene.
+    """
+    dim = len(domain)
+    body = Body(tuple(position), (side,) * dim, tuple(velocity))
+    return _box(name, domain, gravity, duration, material, walls, body)
+
+
+def column_collapse(
+    *,
+    domain: Sequence[float],
+    length: float,
+    height: float,
+    gravity: float,
+    duration: float,
+    material: Material,
+    walls: Mapping[str, Wall],
+    name: str = "column_collapse",
+) -> Scene:
+    """Return a column at rest against the x = 0 wall that spans the whole width (Lube et al. 2005, plane channel).
+
+    Args:
+        domain: edge lengths of the box [D] [m].
+        length: L0 along x [m].
+        height: H0 [m]; the aspect ratio is `height / length`.
+        gravity: magnitude [m/s²], acting along the last axis.
+        duration: simulated time [s].
+        material: what the column is made of.
+        walls: face → wall, every face.
+        name: name of the scene.
+    """
+    dim = len(domain)
+    size = (length, *tuple(domain)[1:-1], height)
+    return _box(name, domain, gravity, duration, material, walls, Body((0.0,) * dim, size, (0.0,) * dim))
+
+
+def block_release(
+    *,
+    domain: Sequence[float],
+    size: Sequence[float],
+    position: Sequence[float],
+    gravity: float,
+    duration: float,
+    material: Material,
+    walls: Mapping[str, Wall],
+    name: str = "block_release",
+) -> Scene:
+    """Return a cuboid that stands on the floor at rest and is let go: what a drop never shows, a start from rest.
+
+    Args:
+        domain: edge lengths of the box [D] [m].
+        size: edge lengths of the block [D] [m].
+        position: its lower corner on the floor, without the last axis [D − 1] [m].
+        gravity: magnitude [m/s²], acting along the last axis.
+        duration: simulated time [s].
+        material: what the block is made of.
+        walls: face → wall, every face.
+        name: name of the scene.
+    """
+    dim = len(domain)
+    body = Body((*tuple(position), 0.0), tuple(size), (0.0,) * dim)
+    return _box(name, domain, gravity, duration, material, walls, body)
+
+
+def sample_cube_drop(
+    generator: np.random.Generator,
+    *,
+    domain: Sequence[float],
+    side: Sequence[float],
+    speed: float,
+    max_drop: float,
+    **rest: object,
+) -> Scene:
+    """Draw a `cube_drop`: side, position and velocity uniform in their ranges.
+
+    Args:
+        generator: source of randomness.
+        domain: edge lengths of the box [D] [m].
+        side: smallest and largest edge of the cube [m].
+        speed: each component of the velocity lies in ± `speed` [m/s].
+        max_drop: greatest height of the cube's lower face over the floor [m]. A cube that hits too fast spreads into
+            a layer thinner than a grid cell, which no grid method resolves.
+        **rest: what `cube_drop` needs besides.
+
+    Raises:
+        InputError: ranges that do not fit the domain.
+    """
+    low, high = _range("side", side)
+    if high >= min(domain):
+        raise InputError(f"cube drops: a side of {high:g} m does not fit a domain of {list(domain)} m.")
+    edge = generator.uniform(low, high)
+    room = np.array(domain) - edge
+    room[-1] = min(room[-1], max_drop)
+    return cube_drop(
+        domain=domain,
+        side=edge,
+        position=tuple(generator.uniform(0, room)),
+        velocity=tuple(generator.uniform(-speed, speed, len(domain))),
+        **rest,  # type: ignore[arg-type]
+    )
+
+
+def sample_block_release(
+    generator: np.random.Generator,
+    *,
+    domain: Sequence[float],
+    length: Sequence[float],
+    aspect_ratio: Sequence[float],
+    at_wall: float,
+    **rest: object,
+) -> Scene:
+    """Draw a `block_release`: horizontal edges, height over the x edge, and place uniform in their ranges.
+
+    Args:
+        generator: source of randomness.
+        domain: edge lengths of the box [D] [m].
+        length: smallest and largest horizontal edge [m].
+        aspect_ratio: smallest and largest height over x edge; heights are cut to the box.
+        at_wall: probability that the block touches a random wall, per horizontal axis.
+        **rest: what `block_release` needs besides.
+
+    Raises:
+        InputError: ranges that do not fit the domain.
+    """
+    low, high = _range("length", length)
+    horizontal = np.array(domain[:-1])
+    if high >= horizontal.min():
+        raise InputError(f"block releases: a length of {high:g} m does not fit a domain of {list(domain)} m.")
+    edges = generator.uniform(low, high, len(horizontal))
+    height = min(edges[0] * generator.uniform(*_range("aspect_ratio", aspect_ratio)), 0.9 * domain[-1])
+    place = generator.uniform(0, 1, len(horizontal))
+    place = np.where(generator.uniform(0, 1, len(horizontal)) < at_wall, np.round(place), place)
+    return block_release(
+        domain=domain,
+        size=(*edges, height),
+        position=tuple(place * (horizontal - edges)),
+        **rest,  # type: ignore[arg-type]
+    )
+
+
+def _range(name: str, values: Sequence[float]) -> tuple[float, float]:
+    low, high = (float(value) for value in values)
+    if not 0 < low <= high:
+        raise InputError(f"{name} must be a range of two positive numbers, the smaller first, not {list(values)}.")
+    return low, high
+
+
+def _box(
+    name: str,
+    domain: Sequence[float],
+    gravity: float,
+    duration: float,
+    material: Material,
+    walls: Mapping[str, Wall],
+    body: Body,
+) -> Scene:
+    dim = len(domain)
+    return Scene(
+        name=name,
+        lower=(0.0,) * dim,
+        upper=tuple(domain),
+        gravity=(*(0.0,) * (dim - 1), -gravity),
+        duration=duration,
+        materials={"sand": material},
+        bodies=(body,),
+        walls=dict(walls),
+    )

@@ -1,0 +1,302 @@
+"""The frozen `Scene` and its parts, checked at construction, and its form as plain dicts, YAML and JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gns_pl.errors import InputError
+
+AXES = {2: "xz", 3: "xyz"}
+"""Names of the axes by dimension; the last one is vertical."""
+
+FACES = {dim: tuple(f"{axis}{side}" for axis in axes for side in "-+") for dim, axes in AXES.items()}
+"""Names of the faces of the box by dimension: lower and upper face of each axis in turn."""
+
+WALL_CONDITIONS = ("stick", "slip", "friction")
+
+
+def _numbers(owner: str, name: str, values: Any, dim: int | None = None) -> tuple[float, ...]:
+    """Return `values` as a tuple of finite floats, or raise an `InputError` that names the field."""
+    try:
+        numbers = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        raise InputError(f"{owner}: {name} must be a list of numbers, not {values!r}.") from None
+    if not all(math.isfinite(number) for number in numbers):
+        raise InputError(f"{owner}: {name} must hold finite numbers, not {list(numbers)}.")
+    if dim is not None and len(numbers) != dim:
+        raise InputError(f"{owner}: {name} must have {dim} entries as the domain does, not {len(numbers)}.")
+    return numbers
+
+
+def _number(owner: str, name: str, value: Any, lower: float = -math.inf, *, above: bool = False) -> float:
+    """Return `value` as a finite float of at least `lower` (more than `lower` if `above`), or raise an `InputError`."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{owner}: {name} must be a number, not {value!r}.") from None
+    if not math.isfinite(number) or number < lower or (above and number == lower):
+        bound = "" if lower == -math.inf else f" {'above' if above else 'of at least'} {lower:g}"
+        raise InputError(f"{owner}: {name} must be a finite number{bound}, not {value}.")
+    return number
+
+
+@dataclass(frozen=True)
+class Material:
+    """A Mohr–Coulomb sand.
+
+    Attributes:
+        density: bulk density [kg/m³].
+        youngs_modulus: Young's modulus [Pa].
+        poisson_ratio: Poisson's ratio, −1 < ν < 0.5.
+        friction_angle_deg: angle of internal friction φ [degrees].
+        dilation_angle_deg: dilation angle ψ [degrees].
+        cohesion: cohesion c [Pa].
+        tension_cutoff: largest mean tension [Pa]; never above the apex of the cone, c / tan φ.
+    """
+
+    density: float
+    youngs_modulus: float
+    poisson_ratio: float
+    friction_angle_deg: float
+    dilation_angle_deg: float = 0.0
+    cohesion: float = 0.0
+    tension_cutoff: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("density", "youngs_modulus"):
+            object.__setattr__(self, name, _number("material", name, getattr(self, name), 0.0, above=True))
+        for name in ("friction_angle_deg", "dilation_angle_deg", "cohesion", "tension_cutoff"):
+            object.__setattr__(self, name, _number("material", name, getattr(self, name), 0.0))
+        ratio = _number("material", "poisson_ratio", self.poisson_ratio, -1.0, above=True)
+        object.__setattr__(self, "poisson_ratio", ratio)
+        if ratio >= 0.5:
+            raise InputError(f"material: poisson_ratio must be below 0.5, not {ratio}.")
+        if self.friction_angle_deg >= 90:
+            raise InputError(f"material: friction_angle_deg must be below 90, not {self.friction_angle_deg}.")
+        if self.dilation_angle_deg > self.friction_angle_deg:
+            raise InputError("material: dilation_angle_deg must not exceed friction_angle_deg.")
+
+    @property
+    def tan_friction_angle(self) -> float:
+        """Coefficient of internal friction, tan φ."""
+        return math.tan(math.radians(self.friction_angle_deg))
+
+    @property
+    def p_wave_speed(self) -> float:
+        """Speed of elastic compression waves √(M/ρ) [m/s], with M = E (1 − ν) / ((1 + ν)(1 − 2 ν))."""
+        nu = self.poisson_ratio
+        modulus = self.youngs_modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
+        return math.sqrt(modulus / self.density)
+
+
+@dataclass(frozen=True)
+class Wall:
+    """What a face of the box does to the material at it.
+
+    Attributes:
+        condition: "stick" (no motion), "slip" (no motion through it) or "friction" (Coulomb).
+        friction: coefficient μ of Coulomb friction; only with "friction".
+    """
+
+    condition: str
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.condition not in WALL_CONDITIONS:
+            raise InputError(f"wall: condition must be one of {', '.join(WALL_CONDITIONS)}, not {self.condition!r}.")
+        object.__setattr__(self, "friction", _number("wall", "friction", self.friction, 0.0))
+        if self.condition != "friction" and self.friction:
+            raise InputError(f'wall: friction {self.friction} needs condition "friction", not "{self.condition}".')
+
+
+@dataclass(frozen=True)
+class Body:
+    """A cuboid of one material.
+
+    Attributes:
+        position: lower corner [D] [m].
+        size: edge lengths [D] [m].
+        velocity: initial velocity [D] [m/s].
+        material: name of its material in the scene.
+    """
+
+    position: tuple[float, ...]
+    size: tuple[float, ...]
+    velocity: tuple[float, ...]
+    material: str = "sand"
+
+    def __post_init__(self) -> None:
+        for name in ("position", "size", "velocity"):
+            object.__setattr__(self, name, _numbers("body", name, getattr(self, name)))
+        if min(self.size, default=0.0) <= 0:
+            raise InputError(f"body: size must be positive along every axis, not {list(self.size)}.")
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        """Upper corner [D] [m]."""
+        return tuple(p + s for p, s in zip(self.position, self.size, strict=True))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A box with bodies in it, what they are made of, and how long to watch them.
+
+    Attributes:
+        name: a word for file names and figures.
+        lower: lower corner of the box [D] [m].
+        upper: upper corner of the box [D] [m].
+        gravity: acceleration of gravity [D] [m/s²]; its main direction is the last axis.
+        duration: simulated time [s].
+        materials: name → `Material`.
+        bodies: the bodies, none touching another's inside.
+        walls: face ("x-", "x+", …, "z+") → `Wall`, every face of the box.
+
+    Raises:
+        InputError: anything inconsistent, in one sentence.
+    """
+
+    name: str
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    gravity: tuple[float, ...]
+    duration: float
+    materials: Mapping[str, Material]
+    bodies: tuple[Body, ...]
+    walls: Mapping[str, Wall]
+
+    def __post_init__(self) -> None:
+        owner = f"scene {self.name!r}"
+        object.__setattr__(self, "lower", _numbers(owner, "lower", self.lower))
+        dim = len(self.lower)
+        if dim not in AXES:
+            raise InputError(f"{owner}: a domain has 2 or 3 dimensions, not {dim}.")
+        object.__setattr__(self, "upper", _numbers(owner, "upper", self.upper, dim))
+        object.__setattr__(self, "gravity", _numbers(owner, "gravity", self.gravity, dim))
+        object.__setattr__(self, "duration", _number(owner, "duration", self.duration, 0.0, above=True))
+        object.__setattr__(self, "bodies", tuple(self.bodies))
+        if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise InputError(
+                f"{owner}: upper {list(self.upper)} must lie above lower {list(self.lower)} on every axis."
+            )
+        if sorted(self.walls) != sorted(FACES[dim]):
+            raise InputError(
+                f"{owner}: walls must name the faces {', '.join(FACES[dim])}, not {', '.join(self.walls)}."
+            )
+        if not self.bodies:
+            raise InputError(f"{owner}: needs at least one body.")
+        for index, body in enumerate(self.bodies):
+            self._check_body(f"{owner}, body {index}", body)
+            for other_index, other in enumerate(self.bodies[:index]):
+                if _overlap(body, other):
+                    raise InputError(f"{owner}: bodies {other_index} and {index} overlap; move one of them.")
+
+    def _check_body(self, owner: str, body: Body) -> None:
+        for name in ("position", "size", "velocity"):
+            _numbers(owner, name, getattr(body, name), self.dim)
+        if body.material not in self.materials:
+            raise InputError(f"{owner}: material {body.material!r} is not among {', '.join(self.materials) or 'none'}.")
+        tolerance = 1e-9 * max(high - low for low, high in zip(self.lower, self.upper, strict=True))
+        inside = all(
+            low - tolerance <= start and end <= high + tolerance
+            for low, start, end, high in zip(self.lower, body.position, body.upper, self.upper, strict=True)
+        )
+        if not inside:
+            raise InputError(
+                f"{owner}: it reaches from {_rounded(body.position)} to {_rounded(body.upper)}, outside the domain "
+                f"{_rounded(self.lower)} to {_rounded(self.upper)}."
+            )
+
+    @property
+    def dim(self) -> int:
+        """Dimension D, 2 or 3."""
+        return len(self.lower)
+
+    def replace(self, **changes: Any) -> Scene:
+        """Return a copy with some attributes changed, checked again."""
+        return dataclasses.replace(self, **changes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scene as plain dicts, lists, numbers and strings; `scene_from_dict` is its inverse."""
+        listed: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
+        return listed
+
+
+def _rounded(values: tuple[float, ...]) -> list[float]:
+    return [round(value, 6) for value in values]
+
+
+def _overlap(a: Body, b: Body) -> bool:
+    """True if the insides of two bodies meet; touching faces do not count."""
+    gap = 1e-9
+    return all(p + gap < r and q + gap < s for p, s, q, r in zip(a.position, a.upper, b.position, b.upper, strict=True))
+
+
+def _build(cls: type, owner: str, data: Any) -> Any:
+    """Construct a dataclass from a mapping; unknown and missing keys are named."""
+    if not isinstance(data, Mapping):
+        raise InputError(f"{owner} must be a mapping of names to values, not {type(data).__name__}.")
+    known = {field.name: field for field in dataclasses.fields(cls)}
+    unknown = [str(key) for key in data if key not in known]
+    if unknown:
+        raise InputError(f"{owner}: unknown key {', '.join(unknown)}; known are {', '.join(known)}.")
+    missing = [name for name, f in known.items() if f.default is dataclasses.MISSING and name not in data]
+    if missing:
+        raise InputError(f"{owner}: missing key {', '.join(missing)}.")
+    return cls(**data)
+
+
+def scene_from_dict(data: Mapping[str, Any]) -> Scene:
+    """Build a `Scene` from its plain-dict form.
+
+    Raises:
+        InputError: unknown or missing keys, or values a `Scene` refuses.
+    """
+    if not isinstance(data, Mapping):
+        raise InputError(f"a scene must be a mapping of names to values, not {type(data).__name__}.")
+    parts = dict(data)
+    for key, cls in (("materials", Material), ("walls", Wall)):
+        value = parts.get(key, {})
+        if not isinstance(value, Mapping):
+            raise InputError(f"scene: {key} must be a mapping, not {type(value).__name__}.")
+        parts[key] = {str(name): _build(cls, f"{key[:-1]} {name!r}", entry) for name, entry in value.items()}
+    bodies = parts.get("bodies", ())
+    if not isinstance(bodies, list | tuple):
+        raise InputError(f"scene: bodies must be a list, not {type(bodies).__name__}.")
+    parts["bodies"] = tuple(_build(Body, f"body {index}", body) for index, body in enumerate(bodies))
+    scene: Scene = _build(Scene, "scene", parts)
+    return scene
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read a scene from a `.yaml`, `.yml` or `.json` file.
+
+    Raises:
+        InputError: no such file, not YAML or JSON, or not a scene; the file is named.
+    """
+    path = Path(path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is YAML
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f"{path}: is not YAML or JSON.") from None
+    try:
+        return scene_from_dict(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def write_scene(scene: Scene, path: str | Path) -> None:
+    """Write a scene to `path` as JSON (`.json`) or YAML (any other ending)."""
+    path = Path(path)
+    data = scene.to_dict()
+    text = json.dumps(data, indent=2) if path.suffix == ".json" else yaml.safe_dump(data, sort_keys=False)
+    path.write_text(text, encoding="utf-8")

@@ -1,0 +1,125 @@
+"""A `Trajectory`: what a simulation, true or learned, leaves behind. Arrays in frames of one fixed time step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gns_pl.errors import InputError
+from gns_pl.fields import MATERIAL_FEATURES
+from gns_pl.scene import Particles, Scene
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Positions of N particles in T frames, and what does not change with time.
+
+    Attributes:
+        position: [T, N, D] [m], float32; frame k is at time k · dt.
+        particle_type: [N] `ParticleType`.
+        material: [N, K] material features.
+        material_features: names of the K features.
+        mass: [N] [kg] (per metre of depth in two dimensions).
+        initial_velocity: [N, D] [m/s] at frame 0.
+        dt: time between frames [s].
+        scene: what was simulated.
+        provenance: how it was made: solver, its settings, versions, seed; plain JSON values.
+
+    Raises:
+        InputError: shapes that do not fit together, or a time step that is not positive.
+    """
+
+    position: NDArray[np.float32]
+    particle_type: NDArray[np.int64]
+    material: NDArray[np.float32]
+    material_features: tuple[str, ...]
+    mass: NDArray[np.float32]
+    initial_velocity: NDArray[np.float32]
+    dt: float
+    scene: Scene
+    provenance: dict[str, object]
+
+    def __post_init__(self) -> None:
+        if self.position.ndim != 3 or self.position.shape[2] != self.scene.dim:
+            raise InputError(f"trajectory: position must be [T, N, {self.scene.dim}], not {self.position.shape}.")
+        number = self.position.shape[1]
+        shapes: dict[str, tuple[NDArray[np.generic], tuple[int, ...]]] = {
+            "particle_type": (self.particle_type, (number,)),
+            "material": (self.material, (number, len(self.material_features))),
+            "mass": (self.mass, (number,)),
+            "initial_velocity": (self.initial_velocity, (number, self.scene.dim)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise InputError(f"trajectory: {name} must be {shape}, not {array.shape}.")
+        if not self.dt > 0:
+            raise InputError(f"trajectory: dt must be positive, not {self.dt}.")
+
+    @property
+    def num_frames(self) -> int:
+        """T."""
+        return int(self.position.shape[0])
+
+    @property
+    def num_particles(self) -> int:
+        """N."""
+        return int(self.position.shape[1])
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Time of every frame [T] [s]."""
+        return np.arange(self.num_frames) * self.dt
+
+    def velocity(self) -> NDArray[np.float64]:
+        """Backward differences (x_k − x_{k−1}) / dt, with the initial velocity in frame 0 [T, N, D] [m/s]."""
+        backward = np.diff(self.position.astype(np.float64), axis=0) / self.dt
+        return np.concatenate([self.initial_velocity[None].astype(np.float64), backward])
+
+    def acceleration(self) -> NDArray[np.float64]:
+        """(v_{k+1} − v_k) / dt with `velocity`'s v, what semi-implicit Euler needs in frame k [T − 1, N, D] [m/s²]."""
+        return np.asarray(np.diff(self.velocity(), axis=0) / self.dt)
+
+
+def ballistic_history(
+    position: NDArray[np.floating], velocity: NDArray[np.floating], dt: float, length: int
+) -> NDArray[np.float64]:
+    """Return `length` positions that end in `position` and move there at constant `velocity`.
+
+    A simulation thus starts from a scene alone: x_{−k} = x_0 − k v_0 dt.
+
+    Args:
+        position: [N, D] [m] at time 0.
+        velocity: [N, D] [m/s] at time 0.
+        dt: time between frames [s].
+        length: number of positions, the last one at time 0.
+
+    Returns:
+        [length, N, D] [m].
+    """
+    steps = np.arange(length - 1, -1, -1, dtype=np.float64)
+    moved = steps[:, None, None] * (velocity.astype(np.float64) * dt)[None]
+    return np.asarray(position.astype(np.float64)[None] - moved)
+
+
+def start_trajectory(scene: Scene, particles: Particles, dt: float, provenance: dict[str, object]) -> Trajectory:
+    """Return the one-frame trajectory from which a simulation of `scene` starts.
+
+    Args:
+        scene: what is to be simulated.
+        particles: its filling, from `fill_scene`.
+        dt: time between frames [s].
+        provenance: how the filling was made.
+    """
+    return Trajectory(
+        position=particles.position[None].astype(np.float32),
+        particle_type=particles.particle_type,
+        material=particles.material,
+        material_features=MATERIAL_FEATURES,
+        mass=particles.mass.astype(np.float32),
+        initial_velocity=particles.velocity.astype(np.float32),
+        dt=dt,
+        scene=scene,
+        provenance=provenance,
+    )
