@@ -1,0 +1,96 @@
+"""Checkpoints: a file that knows its model, its data and where it came from, and runs no code when it is read.
+
+A Lightning checkpoint with one more key, "gns_pl": format version, simulator config, the data's specification and
+provenance, all plain values. `load_checkpoint` needs that key and the weights alone.
+"""
+
+from __future__ import annotations
+
+import pickle
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from gns_pl.errors import InputError
+from gns_pl.simulator import Simulator, SimulatorConfig
+
+KEY = "gns_pl"
+FORMAT_VERSION = 1
+PREFIX = "simulator."
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a checkpoint holds.
+
+    Attributes:
+        simulator: the simulator, in evaluation mode, on the CPU.
+        data: the specification of the data it was trained on, as in conf/data/.
+        provenance: versions, commit, resolved config, hash of the dataset's manifest, steps made.
+    """
+
+    simulator: Simulator
+    data: dict[str, Any]
+    provenance: dict[str, Any]
+
+
+def checkpoint_entry(config: SimulatorConfig, data: Mapping[str, Any], provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the trainer stores under `KEY`, plain values only."""
+    return {
+        "format_version": FORMAT_VERSION,
+        "config": config.to_dict(),
+        "data": dict(data),
+        "provenance": dict(provenance),
+    }
+
+
+def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint without trainer state: weights, statistics, config, data, provenance."""
+    weights = {PREFIX + name: value for name, value in checkpoint.simulator.state_dict().items()}
+    entry = checkpoint_entry(checkpoint.simulator.config, checkpoint.data, checkpoint.provenance)
+    torch.save({"state_dict": weights, KEY: entry}, path)
+
+
+def load_checkpoint(path: str | Path) -> Checkpoint:
+    """Read a checkpoint, from the trainer or from `save_checkpoint`, under `weights_only=True`.
+
+    Raises:
+        InputError: no such file, not one of our checkpoints, or one of a newer format; the file is named.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such checkpoint.")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, zipfile.BadZipFile, RuntimeError, EOFError, OSError, ValueError) as error:
+        raise InputError(f"{path}: is not a readable checkpoint, or was cut off while written.") from error
+    if not isinstance(content, dict) or KEY not in content or "state_dict" not in content:
+        raise InputError(f"{path}: is not a checkpoint of gns_pl (it has no entry {KEY!r}).")
+    entry = content[KEY]
+    if entry["format_version"] > FORMAT_VERSION:
+        raise InputError(
+            f"{path}: has format {entry['format_version']}, this version of gns_pl reads up to {FORMAT_VERSION}; "
+            "install a newer gns_pl."
+        )
+    simulator = Simulator(SimulatorConfig.from_dict(entry["config"]))
+    weights = {
+        name.removeprefix(PREFIX): value for name, value in content["state_dict"].items() if name.startswith(PREFIX)
+    }
+    try:
+        simulator.load_state_dict(weights)
+    except RuntimeError as error:
+        raise InputError(f"{path}: its weights do not fit its own configuration; the file is damaged.") from error
+    return Checkpoint(simulator.eval(), entry["data"], entry["provenance"])
+
+
+def load_simulator(path: str | Path) -> Simulator:
+    """Return the simulator of a checkpoint, ready to step.
+
+    Raises:
+        InputError: as `load_checkpoint`.
+    """
+    return load_checkpoint(path).simulator

@@ -1,0 +1,113 @@
+"""The LightningDataModule: windows for training, whole trajectories for validation, split by trajectory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch import LightningDataModule
+from torch.utils.data import DataLoader as TorchDataLoader
+from torch.utils.data import Dataset
+from torch_geometric.loader import DataLoader
+
+from gns_pl.data.sampler import StepSampler
+from gns_pl.data.windows import WindowDataset
+from gns_pl.errors import InputError
+from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.trajectory import Trajectory
+
+
+class TrajectoryDataset(Dataset[Trajectory]):
+    """Whole trajectories, read when asked for.
+
+    Args:
+        paths: trajectory files.
+    """
+
+    def __init__(self, paths: list[Path]) -> None:
+        self.paths = paths
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, index: int) -> Trajectory:
+        return read_trajectory(self.paths[index])
+
+
+class TrajectoryDataModule(LightningDataModule):
+    """Loaders over a dataset folder. Its state is the number of steps made, so that resuming goes on in the order.
+
+    Args:
+        directory: folder with a manifest.
+        batch_size: windows per step.
+        num_steps: training steps in all.
+        input_sequence_length: H.
+        num_workers: loader processes.
+        memory_limit: the training set is kept in memory if its positions take no more than this [bytes].
+        num_train: use only the first so many training trajectories; all if None.
+        seed: of the order of windows.
+
+    Raises:
+        InputError: more trajectories asked for than there are.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        *,
+        batch_size: int,
+        num_steps: int,
+        input_sequence_length: int,
+        num_workers: int,
+        memory_limit: float,
+        num_train: int | None,
+        seed: int,
+    ) -> None:
+        super().__init__()
+        self.directory = Path(directory)
+        self.manifest = read_manifest(self.directory)
+        self.batch_size = batch_size
+        self.num_steps = num_steps
+        self.input_sequence_length = input_sequence_length
+        self.num_workers = num_workers
+        self.seed = seed
+        self._steps_made = 0
+        names = self.manifest.splits["train"]
+        if num_train is not None and not 0 < num_train <= len(names):
+            raise InputError(f"training.num_train is {num_train}, but the set has {len(names)} training trajectories.")
+        self.train_names = names[:num_train]
+        files = [self.manifest.files[name] for name in self.train_names]
+        self.in_memory = sum(4 * f.num_frames * f.num_particles * self.manifest.dim for f in files) <= memory_limit
+
+    def setup(self, stage: str) -> None:
+        """Open the files of the splits."""
+        if stage == "fit":
+            self.train_set = WindowDataset(
+                [self.directory / name for name in self.train_names],
+                input_sequence_length=self.input_sequence_length,
+                in_memory=self.in_memory,
+            )
+        self.valid_set = TrajectoryDataset([self.directory / name for name in self.manifest.splits["valid"]])
+
+    def train_dataloader(self) -> DataLoader:
+        """Return the batches of all steps still to make."""
+        sampler = StepSampler(
+            num_windows=len(self.train_set),
+            batch_size=self.batch_size,
+            num_steps=self.num_steps,
+            seed=self.seed,
+            first_step=self._steps_made,
+        )
+        return DataLoader(self.train_set, batch_sampler=sampler, num_workers=self.num_workers)
+
+    def val_dataloader(self) -> TorchDataLoader[Trajectory]:
+        """Return the validation trajectories one by one, to be rolled out."""
+        return TorchDataLoader(self.valid_set, batch_size=None)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the number of steps made."""
+        return {"steps_made": self.trainer.global_step if self.trainer is not None else self._steps_made}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on behind the steps made."""
+        self._steps_made = int(state_dict["steps_made"])

@@ -1,0 +1,88 @@
+"""Windows of trajectories: H positions and the one that follows, with what stays constant.
+
+A window may begin before the first frame; the missing positions are ballistic (x0 − k v0 Δt), just as they are when a
+rollout starts from a scene alone. Noise is added later, on the device, never to what is stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import Dataset
+from torch_geometric.data import Data
+
+from gns_pl.errors import InputError
+from gns_pl.io import read_trajectory, read_window
+from gns_pl.trajectory import Trajectory, ballistic_history
+
+
+class WindowDataset(Dataset[Data]):
+    """Every window of a list of trajectory files.
+
+    Item `k` of a trajectory has the latest history position in frame k and the target in frame k + 1, for
+    k = 0 … T − 2.
+
+    Args:
+        paths: trajectory files.
+        input_sequence_length: H.
+        in_memory: keep all positions in memory; otherwise each window is read from its file.
+
+    Raises:
+        InputError: no file, or one with fewer than two frames.
+    """
+
+    def __init__(self, paths: Sequence[Path], *, input_sequence_length: int, in_memory: bool) -> None:
+        if not paths:
+            raise InputError("there is no trajectory to train on; give the split at least one.")
+        self.length = input_sequence_length
+        self.paths = list(paths)
+        self.constant: list[dict[str, torch.Tensor]] = []
+        self._position: list[NDArray[np.float32] | None] = []
+        self._pre_history: list[NDArray[np.float32]] = []
+        counts = []
+        for path in self.paths:
+            trajectory = read_trajectory(path)
+            if trajectory.num_frames < 2:
+                raise InputError(f"{path}: has {trajectory.num_frames} frame; a window needs at least two.")
+            counts.append(trajectory.num_frames - 1)
+            past = ballistic_history(
+                trajectory.position[0], trajectory.initial_velocity, trajectory.dt, input_sequence_length
+            )
+            self._pre_history.append(past[:-1].astype(np.float32))
+            self.constant.append(_constant(trajectory))
+            self._position.append(trajectory.position if in_memory else None)
+        self._ends = np.cumsum(counts)
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    def __getitem__(self, index: int) -> Data:
+        """Return a PyG `Data`: `position` [N, H + 1, D] and the fields of `graph.Static` for one scene."""
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        which = int(np.searchsorted(self._ends, index, side="right"))
+        frame = index - (int(self._ends[which - 1]) if which else 0)
+        first = max(0, frame - self.length + 1)
+        stored = self._position[which]
+        frames = frame + 2 - first
+        window = stored[first : first + frames] if stored is not None else read_window(self.paths[which], first, frames)
+        missing = self.length + 1 - frames
+        if missing:
+            window = np.concatenate([self._pre_history[which][-missing:], window])
+        position = torch.from_numpy(np.ascontiguousarray(window.transpose(1, 0, 2)))
+        return Data(position=position, num_nodes=len(position), frame=frame, **self.constant[which])
+
+
+def _constant(trajectory: Trajectory) -> dict[str, torch.Tensor]:
+    scene = trajectory.scene
+    return {
+        "particle_type": torch.from_numpy(trajectory.particle_type),
+        "material": torch.from_numpy(trajectory.material),
+        "lower": torch.tensor([scene.lower], dtype=torch.float32),
+        "upper": torch.tensor([scene.upper], dtype=torch.float32),
+        "gravity": torch.tensor([scene.gravity], dtype=torch.float32),
+    }

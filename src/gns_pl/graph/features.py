@@ -1,0 +1,104 @@
+"""Node and edge features of the graph, and how wide they are: the only place where a width is computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gns_pl.fields import ParticleType
+
+
+@dataclass(frozen=True)
+class Static:
+    """What does not change while a batch of B scenes with N particles in all is stepped.
+
+    Attributes:
+        particle_type: [N] `ParticleType`.
+        material: [N, K] material features.
+        lower: lower corner of every box [B, D] [m].
+        upper: upper corner of every box [B, D] [m].
+        gravity: [B, D] [m/s²].
+        batch: [N] scene of every particle, ascending.
+    """
+
+    particle_type: Tensor
+    material: Tensor
+    lower: Tensor
+    upper: Tensor
+    gravity: Tensor
+    batch: Tensor
+
+    @property
+    def num_graphs(self) -> int:
+        """B."""
+        return int(self.lower.shape[0])
+
+    @property
+    def moved(self) -> Tensor:
+        """[N] bool: particles the simulator moves, all but the kinematic ones."""
+        return self.particle_type != int(ParticleType.KINEMATIC)
+
+    def to(self, device: torch.device | str) -> Static:
+        """Return the same on another device."""
+        return Static(**{name: value.to(device) for name, value in vars(self).items()})
+
+
+def node_width(*, dim: int, input_sequence_length: int, num_particle_types: int, num_material_features: int) -> int:
+    """Return F of `node_features`."""
+    types = num_particle_types if num_particle_types > 1 else 0
+    return (input_sequence_length - 1) * dim + 2 * dim + types + num_material_features
+
+
+def node_features(
+    velocity: Tensor,
+    position: Tensor,
+    static: Static,
+    *,
+    velocity_scale: Tensor,
+    radius: float,
+    particle_types: tuple[int, ...],
+    material_scale: Tensor,
+) -> Tensor:
+    """Return what a particle knows of itself (Sanchez-Gonzalez et al. 2020, section 3).
+
+    Args:
+        velocity: past velocities, the latest last [N, H − 1, D] [m/s].
+        position: latest position [N, D] [m].
+        static: the scenes.
+        velocity_scale: [] [m/s], velocities are divided by it.
+        radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
+        particle_types: the types that occur; coded one-hot if there are several.
+        material_scale: [2, K] mean and standard deviation of the material features.
+
+    Returns:
+        [N, F]: velocities, distances to the lower and upper walls, type, material.
+    """
+    to_lower = position - static.lower[static.batch]
+    to_upper = static.upper[static.batch] - position
+    walls = (torch.cat([to_lower, to_upper], dim=1) / radius).clamp(-1, 1)
+    parts = [(velocity / velocity_scale).flatten(1), walls]
+    if len(particle_types) > 1:
+        known = torch.tensor(particle_types, device=position.device)
+        parts.append((static.particle_type[:, None] == known).to(position.dtype))
+    if static.material.shape[1]:
+        parts.append((static.material - material_scale[0]) / material_scale[1])
+    return torch.cat(parts, dim=1)
+
+
+def edge_width(dim: int) -> int:
+    """Return the width of `edge_features`."""
+    return dim + 1
+
+
+def edge_features(position: Tensor, edge_index: Tensor, radius: float) -> Tensor:
+    """Return displacement from receiver to sender over R, and its length [E, D + 1].
+
+    Args:
+        position: [N, D] [m].
+        edge_index: [2, E], sender and receiver.
+        radius: connectivity radius R [m].
+    """
+    displacement = (position[edge_index[0]] - position[edge_index[1]]) / radius
+    return torch.cat([displacement, displacement.norm(dim=1, keepdim=True)], dim=1)

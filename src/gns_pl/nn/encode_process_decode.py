@@ -1,0 +1,53 @@
+"""Encode–process–decode (Sanchez-Gonzalez et al. 2020, section 3): features in, one vector per node out."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from gns_pl.nn.interaction_network import InteractionNetwork
+from gns_pl.nn.mlp import mlp
+
+
+class EncodeProcessDecode(nn.Module):
+    """Two encoders, a stack of unshared interaction networks, a decoder without norm.
+
+    Args:
+        node_width: width of the node features.
+        edge_width: width of the edge features.
+        output_width: width of the output.
+        latent_size: width of the states.
+        num_mlp_layers: hidden layers of each MLP.
+        num_message_passing_steps: number of interaction networks.
+    """
+
+    def __init__(
+        self,
+        *,
+        node_width: int,
+        edge_width: int,
+        output_width: int,
+        latent_size: int,
+        num_mlp_layers: int,
+        num_message_passing_steps: int,
+    ) -> None:
+        super().__init__()
+        self.node_encoder = mlp(node_width, latent_size, num_mlp_layers, latent_size, norm=True)
+        self.edge_encoder = mlp(edge_width, latent_size, num_mlp_layers, latent_size, norm=True)
+        self.processor = nn.ModuleList(
+            InteractionNetwork(latent_size, num_mlp_layers) for _ in range(num_message_passing_steps)
+        )
+        self.decoder = mlp(latent_size, latent_size, num_mlp_layers, output_width, norm=False)
+
+    def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
+        """Return the decoded nodes [N, output_width].
+
+        Args:
+            node: node features [N, F].
+            edge: edge features [E, F'].
+            edge_index: [2, E], sender and receiver.
+        """
+        node, edge = self.node_encoder(node), self.edge_encoder(edge)
+        for layer in self.processor:
+            node, edge = layer(node, edge, edge_index)
+        decoded: Tensor = self.decoder(node)
+        return decoded

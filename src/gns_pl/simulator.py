@@ -1,0 +1,214 @@
+"""The learned simulator: one step, and nothing else.
+
+normalise → graph → network → denormalise → integrate. It holds no `no_grad`, no device choice and no logging, so that
+training, rollout and inverse problems share it. `rollout` unrolls it, `training` fits it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from gns_pl.errors import InputError
+from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
+from gns_pl.nn import EncodeProcessDecode
+
+OUTPUTS = ("acceleration", "gated")
+
+
+@dataclass(frozen=True)
+class SimulatorConfig:
+    """Everything that rebuilds a `Simulator` but its weights and statistics.
+
+    Attributes:
+        dim: D, 2 or 3.
+        dt: time of one step [s].
+        spacing: particle spacing of the data [m]; scenes are filled at it.
+        particle_types: the types that occur in the data.
+        material_features: names of the K material features.
+        connectivity_radius: R [m].
+        input_sequence_length: H, positions in the history; H − 1 velocities go in.
+        latent_size: width of the states.
+        num_mlp_layers: hidden layers of each MLP.
+        num_message_passing_steps: number of interaction networks.
+        output: "acceleration": the network gives (a − g) / scale. "gated": it gives a gate s in (0, 1) per axis and an
+            increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
+        neighbours: backend of `radius_graph`.
+
+    Raises:
+        InputError: values that make no simulator.
+    """
+
+    dim: int
+    dt: float
+    spacing: float
+    particle_types: tuple[int, ...]
+    material_features: tuple[str, ...]
+    connectivity_radius: float
+    input_sequence_length: int
+    latent_size: int
+    num_mlp_layers: int
+    num_message_passing_steps: int
+    output: str
+    neighbours: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "particle_types", tuple(self.particle_types))
+        object.__setattr__(self, "material_features", tuple(self.material_features))
+        for name, least in (
+            ("input_sequence_length", 2),
+            ("latent_size", 1),
+            ("num_mlp_layers", 1),
+            ("num_message_passing_steps", 0),
+        ):
+            if getattr(self, name) < least:
+                raise InputError(f"model.{name} must be at least {least}, not {getattr(self, name)}.")
+        for name in ("dt", "spacing", "connectivity_radius"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"model.{name} must be positive, not {getattr(self, name)}.")
+        if self.output not in OUTPUTS:
+            raise InputError(f"model.output must be one of {', '.join(OUTPUTS)}, not {self.output!r}.")
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> SimulatorConfig:
+        """Build the config from a mapping; a misspelt or missing key is named in an `InputError`."""
+        known = [field.name for field in dataclasses.fields(cls)]
+        unknown = [key for key in data if key not in known]
+        missing = [name for name in known if name not in data]
+        if unknown or missing:
+            what = f"unknown key {', '.join(unknown)}" if unknown else f"missing key {', '.join(missing)}"
+            raise InputError(f"model: {what}; known are {', '.join(known)}.")
+        return cls(**data)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the config as plain numbers, strings and lists."""
+        return {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(self).items()}
+
+
+class Simulator(nn.Module):
+    """One step of granular flow, learned.
+
+    The statistics are persistent buffers: `velocity_scale` [] [m/s] and `acceleration_scale` [] [m/s²] are root mean
+    squares over all axes (means are not subtracted, so that free fall stays exactly zero after gravity is),
+    `material_scale` [2, K] holds mean and standard deviation of the material features.
+
+    Args:
+        config: its shape.
+    """
+
+    velocity_scale: Tensor
+    acceleration_scale: Tensor
+    material_scale: Tensor
+
+    def __init__(self, config: SimulatorConfig) -> None:
+        super().__init__()
+        self.config = config
+        features = len(config.material_features)
+        self.register_buffer("velocity_scale", torch.ones(()))
+        self.register_buffer("acceleration_scale", torch.ones(()))
+        self.register_buffer("material_scale", torch.stack([torch.zeros(features), torch.ones(features)]))
+        self.network = EncodeProcessDecode(
+            node_width=node_width(
+                dim=config.dim,
+                input_sequence_length=config.input_sequence_length,
+                num_particle_types=len(config.particle_types),
+                num_material_features=features,
+            ),
+            edge_width=edge_width(config.dim),
+            output_width=config.dim * (2 if config.output == "gated" else 1),
+            latent_size=config.latent_size,
+            num_mlp_layers=config.num_mlp_layers,
+            num_message_passing_steps=config.num_message_passing_steps,
+        )
+
+    def set_statistics(self, *, velocity: float, acceleration: float, material: Tensor) -> None:
+        """Set the normalisation.
+
+        Args:
+            velocity: root mean square of a velocity component, noise included [m/s].
+            acceleration: root mean square of a component of a − g, noise included [m/s²].
+            material: mean and standard deviation of the material features [2, K].
+
+        Raises:
+            InputError: a scale that is not positive and finite: the data do not move.
+        """
+        for name, value in (("velocity", velocity), ("acceleration", acceleration)):
+            if not (value > 0 and value < float("inf")):
+                raise InputError(f"the {name} statistics of the data are {value}; a simulator needs moving particles.")
+        self.velocity_scale.fill_(velocity)
+        self.acceleration_scale.fill_(acceleration)
+        self.material_scale.copy_(material)
+
+    def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
+        """Return the network's (a − g) / `acceleration_scale` [N, D].
+
+        Args:
+            history: positions of the last H frames, the latest last [N, H, D] [m].
+            static: the scenes.
+        """
+        config = self.config
+        position = history[:, -1]
+        velocity = history.diff(dim=1) / config.dt
+        edge_index = radius_graph(
+            position,
+            config.connectivity_radius,
+            static.batch,
+            backend=config.neighbours,
+            num_graphs=static.num_graphs,
+        )
+        node = node_features(
+            velocity,
+            position,
+            static,
+            velocity_scale=self.velocity_scale,
+            radius=config.connectivity_radius,
+            particle_types=config.particle_types,
+            material_scale=self.material_scale,
+        )
+        edge = edge_features(position, edge_index, config.connectivity_radius)
+        output: Tensor = self.network(node, edge, edge_index)
+        if config.output == "acceleration":
+            return output
+        increment, gate = output.chunk(2, dim=1)
+        falling = velocity[:, -1] / config.dt + static.gravity[static.batch]  # (v + g Δt) / Δt
+        return increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
+
+    def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:
+        """Return the normalised a − g that carries `history` to `next_position` in one step [N, D].
+
+        Args:
+            history: [N, H, D] [m].
+            next_position: [N, D] [m].
+            static: the scenes.
+        """
+        second_difference = next_position - 2 * history[:, -1] + history[:, -2]
+        acceleration = second_difference / self.config.dt**2
+        return (acceleration - static.gravity[static.batch]) / self.acceleration_scale
+
+    def integrate(self, history: Tensor, normalised: Tensor, static: Static) -> Tensor:
+        """Return the next position by semi-implicit Euler: v' = v + a Δt, x' = x + v' Δt [N, D] [m].
+
+        Kinematic particles stay where they are; whoever unrolls the simulator moves them along their script.
+
+        Args:
+            history: [N, H, D] [m].
+            normalised: (a − g) / `acceleration_scale` [N, D].
+            static: the scenes.
+        """
+        acceleration = normalised * self.acceleration_scale + static.gravity[static.batch]
+        velocity = (history[:, -1] - history[:, -2]) / self.config.dt + acceleration * self.config.dt
+        return torch.where(static.moved[:, None], history[:, -1] + velocity * self.config.dt, history[:, -1])
+
+    def forward(self, history: Tensor, static: Static) -> Tensor:
+        """Return the positions one step later [N, D] [m].
+
+        Args:
+            history: positions of the last H frames, the latest last [N, H, D] [m].
+            static: the scenes.
+        """
+        return self.integrate(history, self.normalised_acceleration(history, static), static)

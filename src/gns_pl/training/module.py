@@ -1,0 +1,134 @@
+"""The LightningModule: loss, optimiser, validation by rollout. It takes plain dicts, so a checkpoint rebuilds it."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import torch
+from lightning.pytorch import LightningModule
+from torch import Tensor
+from torch_geometric.data import Data
+
+from gns_pl.checkpoint import KEY, checkpoint_entry
+from gns_pl.evaluation.metrics import rollout_errors
+from gns_pl.graph import Static
+from gns_pl.rollout import rollout
+from gns_pl.simulator import Simulator, SimulatorConfig
+from gns_pl.training.perturbation import Perturbation
+from gns_pl.trajectory import Trajectory
+
+
+def static_of_batch(batch: Data) -> Static:
+    """Return the time-independent tensors of a PyG batch of windows."""
+    return Static(
+        particle_type=batch.particle_type,
+        material=batch.material,
+        lower=batch.lower,
+        upper=batch.upper,
+        gravity=batch.gravity,
+        batch=batch.batch,
+    )
+
+
+def learning_rate_factor(step: int, *, warmup_steps: int, num_steps: int, final_factor: float) -> float:
+    """Return linear warm-up, then a cosine down to `final_factor` at `num_steps`."""
+    if step < warmup_steps:
+        return (step + 1) / warmup_steps
+    progress = min(1.0, (step - warmup_steps) / max(1, num_steps - warmup_steps))
+    return final_factor + (1 - final_factor) * 0.5 * (1 + math.cos(math.pi * progress))
+
+
+class SimulatorModule(LightningModule):
+    """Trains a `Simulator` on windows and validates it by rollouts.
+
+    Args:
+        model: `SimulatorConfig` as a dict.
+        data: specification of the data, stored in the checkpoint.
+        optimisation: learning_rate, final_factor, weight_decay, warmup_steps, num_steps.
+        perturbation: `Perturbation` as a dict.
+        seed: of the noise.
+        provenance: stored in the checkpoint.
+    """
+
+    def __init__(
+        self,
+        *,
+        model: dict[str, Any],
+        data: dict[str, Any],
+        optimisation: dict[str, Any],
+        perturbation: dict[str, Any],
+        seed: int,
+        provenance: dict[str, Any],
+    ) -> None:
+        super().__init__()
+        self.save_hyperparameters()
+        self.simulator = Simulator(SimulatorConfig.from_dict(model))
+        self.perturb = Perturbation(**perturbation)
+        self.optimisation = optimisation
+        self.data = data
+        self.seed = seed
+        self.provenance = provenance
+        self._clock = (time.perf_counter(), 0)
+        self._windows = 0
+
+    def training_step(self, batch: Data, batch_index: int) -> Tensor:
+        """Return the mean squared error of the normalised acceleration over the moved particles."""
+        static = static_of_batch(batch)
+        # The noise depends on the seed and the step alone: a resumed run draws what an uninterrupted one would.
+        seed = (self.seed * 1_000_003 + self.global_step) * 1_009 + self.global_rank
+        generator = torch.Generator(device=self.device).manual_seed(seed)
+        history, goal = self.perturb(batch.position[:, :-1], batch.position[:, -1], static, generator)
+        predicted = self.simulator.normalised_acceleration(history, static)
+        error = (predicted - self.simulator.target(history, goal, static)).square().mean(dim=1)
+        loss = error[static.moved].mean()
+        self.log("loss", loss, prog_bar=True, batch_size=batch.num_graphs)
+        self._windows += batch.num_graphs
+        return loss
+
+    def on_train_batch_end(self, outputs: Any, batch: Data, batch_index: int) -> None:
+        """Log the pace every 50 steps."""
+        if self.global_step % 50 == 0:
+            now = time.perf_counter()
+            before, windows = self._clock
+            self.log("windows_per_s", (self._windows - windows) / (now - before), prog_bar=True, batch_size=1)
+            self._clock = (now, self._windows)
+
+    def validation_step(self, reference: Trajectory, batch_index: int) -> None:
+        """Roll a whole validation trajectory out from its first frame and log its errors."""
+        predicted = rollout(self.simulator, reference, reference.num_frames - 1)
+        for name, value in rollout_errors(predicted, reference).items():
+            self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == "position_error")
+
+    def on_validation_epoch_end(self) -> None:
+        """Leave the time of the rollouts out of the pace."""
+        self._clock = (time.perf_counter(), self._windows)
+
+    def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
+        """Move windows; trajectories stay NumPy."""
+        return (
+            batch if isinstance(batch, Trajectory) else super().transfer_batch_to_device(batch, device, dataloader_idx)
+        )
+
+    def configure_optimizers(self) -> Any:
+        """Return AdamW with warm-up and cosine, stepped every step."""
+        settings = self.optimisation
+        optimizer = torch.optim.AdamW(
+            self.parameters(), lr=settings["learning_rate"], weight_decay=settings["weight_decay"]
+        )
+        scheduler = torch.optim.lr_scheduler.LambdaLR(
+            optimizer,
+            lambda step: learning_rate_factor(
+                step,
+                warmup_steps=settings["warmup_steps"],
+                num_steps=settings["num_steps"],
+                final_factor=settings["final_factor"],
+            ),
+        )
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add what `gns_pl.checkpoint` reads."""
+        provenance = {**self.provenance, "steps": self.global_step}
+        checkpoint[KEY] = checkpoint_entry(self.simulator.config, self.data, provenance)

@@ -1,0 +1,74 @@
+"""What a training window looks like to the network: noise on the history, and the target that goes with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gns_pl.errors import InputError
+from gns_pl.graph import Static, coherent_noise, random_walk_noise
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """How histories are perturbed.
+
+    Attributes:
+        noise_std: of the latest velocity's random-walk noise times Δt [m].
+        noise_free: share of the windows that stay as they are.
+        strain_std: standard deviation of the strain of the coherent noise [1]; 0 for none.
+        strain_length: its correlation length [m].
+        restore: share κ of the position error that the target undoes in one step. 0 is the correction of
+            Sanchez-Gonzalez et al. (2020), after which the velocity is right and the position error stays.
+
+    Raises:
+        InputError: a value out of range.
+    """
+
+    noise_std: float
+    noise_free: float
+    strain_std: float
+    strain_length: float
+    restore: float
+
+    def __post_init__(self) -> None:
+        for name in ("noise_std", "strain_std"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"training.{name} must not be negative, but is {getattr(self, name)}.")
+        for name in ("noise_free", "restore"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"training.{name} must lie in [0, 1], but is {getattr(self, name)}.")
+        if not self.strain_length > 0:
+            raise InputError(f"training.strain_length must be positive, but is {self.strain_length}.")
+
+    def __call__(
+        self, history: Tensor, next_position: Tensor, static: Static, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Return the perturbed history [N, H, D] and the next position its target leads to [N, D].
+
+        With the noise n of the latest position, the target leads to x_{t+1} + (1 − κ) n. Kinematic particles stay.
+
+        Args:
+            history: [N, H, D] [m].
+            next_position: [N, D] [m].
+            static: the scenes.
+            generator: source of randomness, on the device of the positions.
+        """
+        graphs = static.num_graphs
+        draw = torch.rand(graphs, generator=generator, device=history.device)
+        noisy = (draw >= self.noise_free)[static.batch] & static.moved
+        level = noisy.to(history.dtype)[:, None, None]
+        noise = random_walk_noise(history, self.noise_std * level, generator)
+        if self.strain_std:
+            moved = coherent_noise(
+                history[:, -1],
+                static.batch,
+                graphs,
+                strain_std=self.strain_std,
+                length=self.strain_length,
+                generator=generator,
+            )
+            noise = noise + level * moved[:, None, :]
+        return history + noise, next_position + (1 - self.restore) * noise[:, -1]

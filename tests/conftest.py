@@ -1,0 +1,110 @@
+"""Scenes, states and small simulators that several rooms test with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from gns_pl.graph import Static
+from gns_pl.scene import Material, Scene, Wall, column_collapse, cube_drop, fill_scene
+from gns_pl.scene.definition import FACES
+from gns_pl.simulator import Simulator, SimulatorConfig
+from gns_pl.trajectory import Trajectory, start_trajectory
+
+SAND = Material(density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30, cohesion=100)
+
+
+@pytest.fixture
+def sand() -> Material:
+    return SAND
+
+
+@pytest.fixture
+def drop() -> Scene:
+    """A cube in the air of a 1 m box, moving."""
+    walls = {face: Wall("friction", 0.385) for face in FACES[3]}
+    return cube_drop(
+        domain=(1, 1, 1),
+        side=0.3,
+        position=(0.3, 0.2, 0.4),
+        velocity=(0.5, -0.25, 1.0),
+        gravity=9.81,
+        duration=0.2,
+        material=SAND,
+        walls=walls,
+    )
+
+
+@pytest.fixture
+def column() -> Scene:
+    walls = {face: Wall("friction", 0.385) for face in FACES[3]}
+    return column_collapse(
+        domain=(1.5, 0.5, 0.7), length=0.3, height=0.3, gravity=9.81, duration=0.5, material=SAND, walls=walls
+    )
+
+
+def make_config(**changes: object) -> SimulatorConfig:
+    values: dict[str, object] = {
+        "dim": 3,
+        "dt": 0.01,
+        "spacing": 0.05,
+        "particle_types": (6,),
+        "material_features": ("tan_friction_angle",),
+        "connectivity_radius": 0.11,
+        "input_sequence_length": 4,
+        "latent_size": 16,
+        "num_mlp_layers": 1,
+        "num_message_passing_steps": 2,
+        "output": "acceleration",
+        "neighbours": "auto",
+    }
+    return SimulatorConfig.from_dict(values | changes)
+
+
+def make_simulator(**changes: object) -> Simulator:
+    torch.manual_seed(0)
+    simulator = Simulator(make_config(**changes))
+    simulator.set_statistics(velocity=0.8, acceleration=6.0, material=torch.tensor([[0.5], [0.1]]))
+    return simulator.eval()
+
+
+def make_static(number: int, *, graphs: int = 1, gravity: tuple[float, ...] = (0.0, 0.0, -9.81)) -> Static:
+    """Static tensors of `graphs` equal scenes of `number` particles each, in a unit box."""
+    dim = len(gravity)
+    return Static(
+        particle_type=torch.full((number * graphs,), 6),
+        material=torch.full((number * graphs, 1), 0.577),
+        lower=torch.zeros(graphs, dim),
+        upper=torch.ones(graphs, dim),
+        gravity=torch.tensor([gravity] * graphs),
+        batch=torch.arange(graphs).repeat_interleave(number),
+    )
+
+
+def make_start(scene: Scene, spacing: float = 0.05, dt: float = 0.01) -> Trajectory:
+    return start_trajectory(scene, fill_scene(scene, spacing), dt, {})
+
+
+def make_moving(scene: Scene, *, frames: int, spacing: float = 0.05, dt: float = 0.01, seed: int = 0) -> Trajectory:
+    """A made-up smooth motion of a scene's particles: the truth for tests that need no physics."""
+    start = make_start(scene, spacing, dt)
+    generator = np.random.default_rng(seed)
+    number, dim = start.position.shape[1:]
+    velocity = start.initial_velocity.astype(np.float64)
+    position, frames_made = start.position[0].astype(np.float64), [start.position[0]]
+    for _ in range(frames - 1):
+        velocity = velocity + generator.normal(0, 0.05, (number, dim)) - 0.02 * velocity
+        position = position + velocity * dt
+        frames_made.append(position.astype(np.float32))
+    return Trajectory(
+        position=np.stack(frames_made),
+        particle_type=start.particle_type,
+        material=start.material,
+        material_features=start.material_features,
+        mass=start.mass,
+        initial_velocity=start.initial_velocity,
+        dt=dt,
+        scene=scene,
+        provenance={},
+    )

@@ -1,0 +1,27 @@
+"""python train.py +experiment=NAME [key=value …]: generate the data where missing, train a simulator on them."""
+
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from gns_pl.errors import told_plainly
+
+
+@hydra.main(version_base=None, config_path="conf", config_name="train")
+def main(cfg: DictConfig) -> None:
+    """Train with one config; Hydra calls it once per job of a sweep."""
+    with told_plainly("train.py"):
+        output = Path(HydraConfig.get().runtime.output_dir)
+        from gns_pl.training.resume import find_resume
+
+        resume = find_resume(cfg.resume, output)
+        from gns_pl.training.train import train  # heavy: torch, Lightning, W&B
+
+        last = train(cfg, output, resume)
+        print(f"Trained. To judge it: python evaluate.py ckpt={last}")
+
+
+if __name__ == "__main__":
+    main()
