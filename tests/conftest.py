@@ -57,6 +57,7 @@ def make_config(**changes: object) -> SimulatorConfig:
         "num_mlp_layers": 1,
         "num_message_passing_steps": 2,
         "output": "acceleration",
+        "context": False,
         "neighbours": "auto",
     }
     return SimulatorConfig.from_dict(values | changes)

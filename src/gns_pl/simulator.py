@@ -38,6 +38,7 @@ class SimulatorConfig:
         num_message_passing_steps: number of interaction networks.
         output: "acceleration": the network gives (a − g) / scale. "gated": it gives a gate s in (0, 1) per axis and an
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
+        context: node features that look beyond the radius: overburden and far walls (`graph.overburden`).
         neighbours: backend of `radius_graph`.
 
     Raises:
@@ -55,6 +56,7 @@ class SimulatorConfig:
     num_mlp_layers: int
     num_message_passing_steps: int
     output: str
+    context: bool
     neighbours: str
 
     def __post_init__(self) -> None:
@@ -118,6 +120,7 @@ class Simulator(nn.Module):
                 input_sequence_length=config.input_sequence_length,
                 num_particle_types=len(config.particle_types),
                 num_material_features=features,
+                context=config.context,
             ),
             edge_width=edge_width(config.dim),
             output_width=config.dim * (2 if config.output == "gated" else 1),
@@ -169,6 +172,8 @@ class Simulator(nn.Module):
             radius=config.connectivity_radius,
             particle_types=config.particle_types,
             material_scale=self.material_scale,
+            context=config.context,
+            volume=config.spacing**config.dim,
         )
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = self.network(node, edge, edge_index)

@@ -70,12 +70,12 @@ class Trajectory:
     @property
     def time(self) -> NDArray[np.float64]:
         """Time of every frame [T] [s]."""
-        return np.arange(self.num_frames) * self.dt
+        return np.arange(self.num_frames, dtype=np.float64) * np.float64(self.dt)
 
     def velocity(self) -> NDArray[np.float64]:
         """Backward differences (x_k − x_{k−1}) / dt, with the initial velocity in frame 0 [T, N, D] [m/s]."""
         backward = np.diff(self.position.astype(np.float64), axis=0) / self.dt
-        return np.concatenate([self.initial_velocity[None].astype(np.float64), backward])
+        return np.concatenate([self.initial_velocity[None], backward], dtype=np.float64)
 
     def acceleration(self) -> NDArray[np.float64]:
         """(v_{k+1} − v_k) / dt with `velocity`'s v, what semi-implicit Euler needs in frame k [T − 1, N, D] [m/s²]."""

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import itertools
+
 import torch
 
 from gns_pl.graph import edge_features, edge_width, node_features, node_width
@@ -8,7 +10,9 @@ from tests.conftest import make_static
 SCALE = torch.tensor([[0.5], [0.1]])
 
 
-def features(position: torch.Tensor, velocity: torch.Tensor, types: tuple[int, ...] = (6,)) -> torch.Tensor:
+def features(
+    position: torch.Tensor, velocity: torch.Tensor, types: tuple[int, ...] = (6,), context: bool = False
+) -> torch.Tensor:
     return node_features(
         velocity,
         position,
@@ -17,16 +21,18 @@ def features(position: torch.Tensor, velocity: torch.Tensor, types: tuple[int, .
         radius=0.1,
         particle_types=types,
         material_scale=SCALE,
+        context=context,
+        volume=1e-3,
     )
 
 
 def test_widths_are_those_of_the_features() -> None:
     position, velocity = torch.rand(5, 3), torch.rand(5, 4, 3)
-    for types in ((6,), (3, 6)):
+    for types, context in itertools.product(((6,), (3, 6)), (False, True)):
         width = node_width(
-            dim=3, input_sequence_length=5, num_particle_types=len(types), num_material_features=1
+            dim=3, input_sequence_length=5, num_particle_types=len(types), num_material_features=1, context=context
         )
-        assert features(position, velocity, types).shape == (5, width)
+        assert features(position, velocity, types, context).shape == (5, width)
     assert edge_features(position, torch.tensor([[0], [1]]), 0.1).shape == (1, edge_width(3))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import torch
 from lightning.pytorch import LightningDataModule
 from torch.utils.data import DataLoader as TorchDataLoader
 from torch.utils.data import Dataset
@@ -42,6 +43,7 @@ class TrajectoryDataModule(LightningDataModule):
         batch_size: windows per step.
         num_steps: training steps in all.
         input_sequence_length: H.
+        start_repeats: how often windows at the start of a trajectory are listed.
         num_workers: loader processes.
         memory_limit: the training set is kept in memory if its positions take no more than this [bytes].
         num_train: use only the first so many training trajectories; all if None.
@@ -58,6 +60,7 @@ class TrajectoryDataModule(LightningDataModule):
         batch_size: int,
         num_steps: int,
         input_sequence_length: int,
+        start_repeats: int,
         num_workers: int,
         memory_limit: float,
         num_train: int | None,
@@ -69,6 +72,7 @@ class TrajectoryDataModule(LightningDataModule):
         self.batch_size = batch_size
         self.num_steps = num_steps
         self.input_sequence_length = input_sequence_length
+        self.start_repeats = start_repeats
         self.num_workers = num_workers
         self.seed = seed
         self._steps_made = 0
@@ -85,6 +89,7 @@ class TrajectoryDataModule(LightningDataModule):
             self.train_set = WindowDataset(
                 [self.directory / name for name in self.train_names],
                 input_sequence_length=self.input_sequence_length,
+                start_repeats=self.start_repeats,
                 in_memory=self.in_memory,
             )
         self.valid_set = TrajectoryDataset([self.directory / name for name in self.manifest.splits["valid"]])
@@ -103,6 +108,12 @@ class TrajectoryDataModule(LightningDataModule):
     def val_dataloader(self) -> TorchDataLoader[Trajectory]:
         """Return the validation trajectories one by one, to be rolled out."""
         return TorchDataLoader(self.valid_set, batch_size=None)
+
+    def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
+        """Move windows; trajectories stay NumPy."""
+        return (
+            batch if isinstance(batch, Trajectory) else super().transfer_batch_to_device(batch, device, dataloader_idx)
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """Return the number of steps made."""

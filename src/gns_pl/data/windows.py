@@ -23,19 +23,23 @@ from gns_pl.trajectory import Trajectory, ballistic_history
 class WindowDataset(Dataset[Data]):
     """Every window of a list of trajectory files.
 
-    Item `k` of a trajectory has the latest history position in frame k and the target in frame k + 1, for
-    k = 0 … T − 2.
+    A trajectory has a window for every frame k = 0 … T − 2, which holds the latest history position; the target is in
+    frame k + 1. Windows whose history begins before the first frame are rare but decide how a scene sets out, so they
+    can be listed several times.
 
     Args:
         paths: trajectory files.
         input_sequence_length: H.
+        start_repeats: how often windows are listed whose history begins before the first frame.
         in_memory: keep all positions in memory; otherwise each window is read from its file.
 
     Raises:
         InputError: no file, or one with fewer than two frames.
     """
 
-    def __init__(self, paths: Sequence[Path], *, input_sequence_length: int, in_memory: bool) -> None:
+    def __init__(
+        self, paths: Sequence[Path], *, input_sequence_length: int, start_repeats: int, in_memory: bool
+    ) -> None:
         if not paths:
             raise InputError("there is no trajectory to train on; give the split at least one.")
         self.length = input_sequence_length
@@ -43,29 +47,26 @@ class WindowDataset(Dataset[Data]):
         self.constant: list[dict[str, torch.Tensor]] = []
         self._position: list[NDArray[np.float32] | None] = []
         self._pre_history: list[NDArray[np.float32]] = []
-        counts = []
-        for path in self.paths:
+        self.index: list[tuple[int, int]] = []
+        for which, path in enumerate(self.paths):
             trajectory = read_trajectory(path)
             if trajectory.num_frames < 2:
                 raise InputError(f"{path}: has {trajectory.num_frames} frame; a window needs at least two.")
-            counts.append(trajectory.num_frames - 1)
+            for frame in range(trajectory.num_frames - 1):
+                self.index += [(which, frame)] * (start_repeats if frame < input_sequence_length - 1 else 1)
             past = ballistic_history(
                 trajectory.position[0], trajectory.initial_velocity, trajectory.dt, input_sequence_length
             )
             self._pre_history.append(past[:-1].astype(np.float32))
             self.constant.append(_constant(trajectory))
             self._position.append(trajectory.position if in_memory else None)
-        self._ends = np.cumsum(counts)
 
     def __len__(self) -> int:
-        return int(self._ends[-1])
+        return len(self.index)
 
     def __getitem__(self, index: int) -> Data:
         """Return a PyG `Data`: `position` [N, H + 1, D] and the fields of `graph.Static` for one scene."""
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        which = int(np.searchsorted(self._ends, index, side="right"))
-        frame = index - (int(self._ends[which - 1]) if which else 0)
+        which, frame = self.index[index]
         first = max(0, frame - self.length + 1)
         stored = self._position[which]
         frames = frame + 2 - first
@@ -74,7 +75,7 @@ class WindowDataset(Dataset[Data]):
         if missing:
             window = np.concatenate([self._pre_history[which][-missing:], window])
         position = torch.from_numpy(np.ascontiguousarray(window.transpose(1, 0, 2)))
-        return Data(position=position, num_nodes=len(position), frame=frame, **self.constant[which])
+        return Data(position=position, num_nodes=len(position), **self.constant[which])
 
 
 def _constant(trajectory: Trajectory) -> dict[str, torch.Tensor]:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.fields import ParticleType
+from gns_pl.graph.overburden import overburden
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,17 @@ class Static:
         return Static(**{name: value.to(device) for name, value in vars(self).items()})
 
 
-def node_width(*, dim: int, input_sequence_length: int, num_particle_types: int, num_material_features: int) -> int:
+REACH = 4.0
+"""Context features look this many connectivity radii far."""
+
+
+def node_width(
+    *, dim: int, input_sequence_length: int, num_particle_types: int, num_material_features: int, context: bool
+) -> int:
     """Return F of `node_features`."""
     types = num_particle_types if num_particle_types > 1 else 0
-    return (input_sequence_length - 1) * dim + 2 * dim + types + num_material_features
+    walls = 2 * dim * (2 if context else 1)
+    return (input_sequence_length - 1) * dim + walls + int(context) + types + num_material_features
 
 
 def node_features(
@@ -60,6 +68,8 @@ def node_features(
     radius: float,
     particle_types: tuple[int, ...],
     material_scale: Tensor,
+    context: bool,
+    volume: float,
 ) -> Tensor:
     """Return what a particle knows of itself (Sanchez-Gonzalez et al. 2020, section 3).
 
@@ -71,14 +81,19 @@ def node_features(
         radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
         particle_types: the types that occur; coded one-hot if there are several.
         material_scale: [2, K] mean and standard deviation of the material features.
+        context: add the overburden and the distances to the walls within `REACH` radii.
+        volume: volume of a particle [m^D].
 
     Returns:
-        [N, F]: velocities, distances to the lower and upper walls, type, material.
+        [N, F]: velocities, distances to the lower and upper walls, context, type, material.
     """
     to_lower = position - static.lower[static.batch]
     to_upper = static.upper[static.batch] - position
-    walls = (torch.cat([to_lower, to_upper], dim=1) / radius).clamp(-1, 1)
-    parts = [(velocity / velocity_scale).flatten(1), walls]
+    walls = torch.cat([to_lower, to_upper], dim=1) / radius
+    parts = [(velocity / velocity_scale).flatten(1), walls.clamp(-1, 1)]
+    if context:
+        thickness = overburden(position, static.lower, static.upper, static.batch, cell=radius, volume=volume)
+        parts += [(walls / REACH).clamp(-1, 1), thickness[:, None] / (REACH * radius)]
     if len(particle_types) > 1:
         known = torch.tensor(particle_types, device=position.device)
         parts.append((static.particle_type[:, None] == known).to(position.dtype))

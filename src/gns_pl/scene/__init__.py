@@ -1,12 +1,14 @@
 """What is to be simulated, before any discretisation: a box, gravity, materials, bodies, walls and a duration.
 
-`definition` holds the frozen `Scene` and its plain-dict form, `catalogue` the standard scenes and their random
-families, `filling` puts particles into bodies. No solver, no network and no file of trajectories is known here.
+`definition` holds the frozen `Scene`, `plain` its form as dicts, YAML and JSON, `catalogue` the standard scenes and
+their random families, `filling` puts particles into bodies. No solver, no network and no file of trajectories is known
+here.
 """
 
 from gns_pl.scene.catalogue import block_release, column_collapse, cube_drop, sample_block_release, sample_cube_drop
-from gns_pl.scene.definition import FACES, Body, Material, Scene, Wall, read_scene, scene_from_dict, write_scene
+from gns_pl.scene.definition import FACES, Body, Material, Scene, Wall
 from gns_pl.scene.filling import Particles, fill_scene
+from gns_pl.scene.plain import part_from_dict, read_scene, scene_from_dict, write_scene
 
 __all__ = [
     "FACES",
@@ -19,6 +21,7 @@ __all__ = [
     "column_collapse",
     "cube_drop",
     "fill_scene",
+    "part_from_dict",
     "read_scene",
     "sample_block_release",
     "sample_cube_drop",

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gns_pl.errors import InputError
+from gns_pl.scene.checks import checked_number, checked_numbers
 from gns_pl.scene.definition import Body, Material, Scene, Wall
 
 
@@ -119,7 +120,10 @@ def sample_cube_drop(
     Raises:
         InputError: ranges that do not fit the domain.
     """
-    low, high = _range("side", side)
+    low, high = _range("cube drops", "side", side)
+    domain = checked_numbers("cube drops", "domain", domain)
+    speed = checked_number("cube drops", "speed", speed, 0.0)
+    max_drop = checked_number("cube drops", "max_drop", max_drop, 0.0)
     if high >= min(domain):
         raise InputError(f"cube drops: a side of {high:g} m does not fit a domain of {list(domain)} m.")
     edge = generator.uniform(low, high)
@@ -156,12 +160,16 @@ def sample_block_release(
     Raises:
         InputError: ranges that do not fit the domain.
     """
-    low, high = _range("length", length)
+    low, high = _range("block releases", "length", length)
+    low_ratio, high_ratio = _range("block releases", "aspect_ratio", aspect_ratio)
+    domain = checked_numbers("block releases", "domain", domain)
+    if not 0 <= checked_number("block releases", "at_wall", at_wall) <= 1:
+        raise InputError(f"block releases: at_wall is a probability between 0 and 1, not {at_wall}.")
     horizontal = np.array(domain[:-1])
     if high >= horizontal.min():
         raise InputError(f"block releases: a length of {high:g} m does not fit a domain of {list(domain)} m.")
     edges = generator.uniform(low, high, len(horizontal))
-    height = min(edges[0] * generator.uniform(*_range("aspect_ratio", aspect_ratio)), 0.9 * domain[-1])
+    height = min(edges[0] * generator.uniform(low_ratio, high_ratio), 0.9 * domain[-1])
     place = generator.uniform(0, 1, len(horizontal))
     place = np.where(generator.uniform(0, 1, len(horizontal)) < at_wall, np.round(place), place)
     return block_release(
@@ -172,11 +180,11 @@ def sample_block_release(
     )
 
 
-def _range(name: str, values: Sequence[float]) -> tuple[float, float]:
-    low, high = (float(value) for value in values)
-    if not 0 < low <= high:
-        raise InputError(f"{name} must be a range of two positive numbers, the smaller first, not {list(values)}.")
-    return low, high
+def _range(owner: str, name: str, values: Sequence[float]) -> tuple[float, float]:
+    numbers = checked_numbers(owner, name, values)
+    if len(numbers) != 2 or not 0 < numbers[0] <= numbers[1]:
+        raise InputError(f"{owner}: {name} must be two positive numbers, the smaller first, not {list(numbers)}.")
+    return numbers[0], numbers[1]
 
 
 def _box(

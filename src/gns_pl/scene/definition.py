@@ -1,4 +1,4 @@
-"""The frozen `Scene` and its parts, checked at construction, and its form as plain dicts, YAML and JSON."""
+"""The frozen `Scene` and its parts, checked at construction."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import yaml
-
 from gns_pl.errors import InputError
+from gns_pl.scene.checks import checked_number, checked_numbers
 
 AXES = {2: "xz", 3: "xyz"}
 """Names of the axes by dimension; the last one is vertical."""
@@ -21,31 +19,6 @@ FACES = {dim: tuple(f"{axis}{side}" for axis in axes for side in "-+") for dim, 
 """Names of the faces of the box by dimension: lower and upper face of each axis in turn."""
 
 WALL_CONDITIONS = ("stick", "slip", "friction")
-
-
-def _numbers(owner: str, name: str, values: Any, dim: int | None = None) -> tuple[float, ...]:
-    """Return `values` as a tuple of finite floats, or raise an `InputError` that names the field."""
-    try:
-        numbers = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        raise InputError(f"{owner}: {name} must be a list of numbers, not {values!r}.") from None
-    if not all(math.isfinite(number) for number in numbers):
-        raise InputError(f"{owner}: {name} must hold finite numbers, not {list(numbers)}.")
-    if dim is not None and len(numbers) != dim:
-        raise InputError(f"{owner}: {name} must have {dim} entries as the domain does, not {len(numbers)}.")
-    return numbers
-
-
-def _number(owner: str, name: str, value: Any, lower: float = -math.inf, *, above: bool = False) -> float:
-    """Return `value` as a finite float of at least `lower` (more than `lower` if `above`), or raise an `InputError`."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{owner}: {name} must be a number, not {value!r}.") from None
-    if not math.isfinite(number) or number < lower or (above and number == lower):
-        bound = "" if lower == -math.inf else f" {'above' if above else 'of at least'} {lower:g}"
-        raise InputError(f"{owner}: {name} must be a finite number{bound}, not {value}.")
-    return number
 
 
 @dataclass(frozen=True)
@@ -72,10 +45,10 @@ class Material:
 
     def __post_init__(self) -> None:
         for name in ("density", "youngs_modulus"):
-            object.__setattr__(self, name, _number("material", name, getattr(self, name), 0.0, above=True))
+            object.__setattr__(self, name, checked_number("material", name, getattr(self, name), 0.0, above=True))
         for name in ("friction_angle_deg", "dilation_angle_deg", "cohesion", "tension_cutoff"):
-            object.__setattr__(self, name, _number("material", name, getattr(self, name), 0.0))
-        ratio = _number("material", "poisson_ratio", self.poisson_ratio, -1.0, above=True)
+            object.__setattr__(self, name, checked_number("material", name, getattr(self, name), 0.0))
+        ratio = checked_number("material", "poisson_ratio", self.poisson_ratio, -1.0, above=True)
         object.__setattr__(self, "poisson_ratio", ratio)
         if ratio >= 0.5:
             raise InputError(f"material: poisson_ratio must be below 0.5, not {ratio}.")
@@ -112,7 +85,7 @@ class Wall:
     def __post_init__(self) -> None:
         if self.condition not in WALL_CONDITIONS:
             raise InputError(f"wall: condition must be one of {', '.join(WALL_CONDITIONS)}, not {self.condition!r}.")
-        object.__setattr__(self, "friction", _number("wall", "friction", self.friction, 0.0))
+        object.__setattr__(self, "friction", checked_number("wall", "friction", self.friction, 0.0))
         if self.condition != "friction" and self.friction:
             raise InputError(f'wall: friction {self.friction} needs condition "friction", not "{self.condition}".')
 
@@ -135,7 +108,7 @@ class Body:
 
     def __post_init__(self) -> None:
         for name in ("position", "size", "velocity"):
-            object.__setattr__(self, name, _numbers("body", name, getattr(self, name)))
+            object.__setattr__(self, name, checked_numbers("body", name, getattr(self, name)))
         if min(self.size, default=0.0) <= 0:
             raise InputError(f"body: size must be positive along every axis, not {list(self.size)}.")
 
@@ -173,14 +146,16 @@ class Scene:
     walls: Mapping[str, Wall]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name or {"/", "\\", "\0"} & set(self.name):
+            raise InputError(f"scene: name must be a word that can stand in a file name, not {self.name!r}.")
         owner = f"scene {self.name!r}"
-        object.__setattr__(self, "lower", _numbers(owner, "lower", self.lower))
+        object.__setattr__(self, "lower", checked_numbers(owner, "lower", self.lower))
         dim = len(self.lower)
         if dim not in AXES:
             raise InputError(f"{owner}: a domain has 2 or 3 dimensions, not {dim}.")
-        object.__setattr__(self, "upper", _numbers(owner, "upper", self.upper, dim))
-        object.__setattr__(self, "gravity", _numbers(owner, "gravity", self.gravity, dim))
-        object.__setattr__(self, "duration", _number(owner, "duration", self.duration, 0.0, above=True))
+        object.__setattr__(self, "upper", checked_numbers(owner, "upper", self.upper, dim))
+        object.__setattr__(self, "gravity", checked_numbers(owner, "gravity", self.gravity, dim))
+        object.__setattr__(self, "duration", checked_number(owner, "duration", self.duration, 0.0, above=True))
         object.__setattr__(self, "bodies", tuple(self.bodies))
         if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
             raise InputError(
@@ -200,7 +175,7 @@ class Scene:
 
     def _check_body(self, owner: str, body: Body) -> None:
         for name in ("position", "size", "velocity"):
-            _numbers(owner, name, getattr(body, name), self.dim)
+            checked_numbers(owner, name, getattr(body, name), self.dim)
         if body.material not in self.materials:
             raise InputError(f"{owner}: material {body.material!r} is not among {', '.join(self.materials) or 'none'}.")
         tolerance = 1e-9 * max(high - low for low, high in zip(self.lower, self.upper, strict=True))
@@ -237,66 +212,3 @@ def _overlap(a: Body, b: Body) -> bool:
     """True if the insides of two bodies meet; touching faces do not count."""
     gap = 1e-9
     return all(p + gap < r and q + gap < s for p, s, q, r in zip(a.position, a.upper, b.position, b.upper, strict=True))
-
-
-def _build(cls: type, owner: str, data: Any) -> Any:
-    """Construct a dataclass from a mapping; unknown and missing keys are named."""
-    if not isinstance(data, Mapping):
-        raise InputError(f"{owner} must be a mapping of names to values, not {type(data).__name__}.")
-    known = {field.name: field for field in dataclasses.fields(cls)}
-    unknown = [str(key) for key in data if key not in known]
-    if unknown:
-        raise InputError(f"{owner}: unknown key {', '.join(unknown)}; known are {', '.join(known)}.")
-    missing = [name for name, f in known.items() if f.default is dataclasses.MISSING and name not in data]
-    if missing:
-        raise InputError(f"{owner}: missing key {', '.join(missing)}.")
-    return cls(**data)
-
-
-def scene_from_dict(data: Mapping[str, Any]) -> Scene:
-    """Build a `Scene` from its plain-dict form.
-
-    Raises:
-        InputError: unknown or missing keys, or values a `Scene` refuses.
-    """
-    if not isinstance(data, Mapping):
-        raise InputError(f"a scene must be a mapping of names to values, not {type(data).__name__}.")
-    parts = dict(data)
-    for key, cls in (("materials", Material), ("walls", Wall)):
-        value = parts.get(key, {})
-        if not isinstance(value, Mapping):
-            raise InputError(f"scene: {key} must be a mapping, not {type(value).__name__}.")
-        parts[key] = {str(name): _build(cls, f"{key[:-1]} {name!r}", entry) for name, entry in value.items()}
-    bodies = parts.get("bodies", ())
-    if not isinstance(bodies, list | tuple):
-        raise InputError(f"scene: bodies must be a list, not {type(bodies).__name__}.")
-    parts["bodies"] = tuple(_build(Body, f"body {index}", body) for index, body in enumerate(bodies))
-    scene: Scene = _build(Scene, "scene", parts)
-    return scene
-
-
-def read_scene(path: str | Path) -> Scene:
-    """Read a scene from a `.yaml`, `.yml` or `.json` file.
-
-    Raises:
-        InputError: no such file, not YAML or JSON, or not a scene; the file is named.
-    """
-    path = Path(path)
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is YAML
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise InputError(f"{path}: is not YAML or JSON.") from None
-    try:
-        return scene_from_dict(data)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write a scene to `path` as JSON (`.json`) or YAML (any other ending)."""
-    path = Path(path)
-    data = scene.to_dict()
-    text = json.dumps(data, indent=2) if path.suffix == ".json" else yaml.safe_dump(data, sort_keys=False)
-    path.write_text(text, encoding="utf-8")

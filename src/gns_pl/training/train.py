@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import subprocess
+import warnings
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -38,6 +40,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     Raises:
         InputError: a setting that cannot be used.
     """
+    quieten()
     seed_everything(cfg.seed, workers=True, verbose=False)
     data = plain(cfg.data)
     directory = generate_dataset(data)
@@ -46,16 +49,22 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         check_resume(resume, dict(module.hparams))
     callbacks = [instantiate(callback) for callback in cfg.callbacks.values()]
     loggers = [instantiate(logger) for logger in cfg.logger.values() if OmegaConf.is_config(logger)]
+    last = output / "last.ckpt"
     trainer: Trainer = instantiate(cfg.trainer, callbacks=callbacks, logger=loggers)
+    print(
+        f"{cfg.name}: {len(datamodule.train_set)} windows of {len(datamodule.train_names)} trajectories, "
+        f"{sum(p.numel() for p in module.parameters())} parameters, {trainer.max_steps} steps on "
+        f"{trainer.strategy.root_device}, into {output}"
+    )
     try:
         for logger in loggers:
             logger.log_hyperparams(plain(cfg))
         trainer.fit(module, datamodule=datamodule, ckpt_path=resume, weights_only=True)
+    except SystemExit:  # Lightning's way out after Ctrl-C
+        hint = f"; to go on, add resume={last}" if last.is_file() else ""
+        raise SystemExit(f"train.py: stopped after {trainer.global_step} steps{hint}.") from None
     finally:
         finish_wandb(cfg)
-    last = Path(trainer.checkpoint_callback.last_model_path or output / "last.ckpt")  # type: ignore[union-attr]
-    if trainer.interrupted:
-        raise InputError(f"stopped after {trainer.global_step} steps; to go on: resume={last}")
     return last
 
 
@@ -68,6 +77,7 @@ def build(cfg: DictConfig, data: dict[str, Any], directory: Path) -> tuple[Simul
         batch_size=training["batch_size"],
         num_steps=training["optimisation"]["num_steps"],
         input_sequence_length=model["input_sequence_length"],
+        start_repeats=training["start_repeats"],
         num_workers=training["num_workers"],
         memory_limit=training["memory_limit"],
         num_train=training["num_train"],
@@ -85,7 +95,7 @@ def build(cfg: DictConfig, data: dict[str, Any], directory: Path) -> tuple[Simul
             "material_features": list(manifest.material_features),
         },
         data=data,
-        optimisation=training["optimisation"],
+        optimisation={**training["optimisation"], "huber_delta": training["huber_delta"]},
         perturbation=perturbation,
         seed=cfg.seed,
         provenance=provenance(cfg, directory),
@@ -126,6 +136,14 @@ def material_scale(datamodule: TrajectoryDataModule) -> torch.Tensor:
     return torch.stack([material.mean(dim=0), torch.where(deviation > 1e-9, deviation, 1.0)]).float()
 
 
+def quieten() -> None:
+    """Keep Lightning's advertisements, and warnings that tell a user nothing, off the terminal."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for message in (".*exists and is not empty", ".*does not have many workers", ".*LeafSpec.*", ".*weights_only.*"):
+        warnings.filterwarnings("ignore", message)
+    warnings.filterwarnings("ignore", category=DeprecationWarning)
+
+
 def provenance(cfg: DictConfig, directory: Path) -> dict[str, Any]:
     """Return versions, commit, config and the hash of the dataset's manifest."""
     try:
@@ -152,7 +170,7 @@ def finish_wandb(cfg: DictConfig) -> None:
     if "wandb" in cfg.logger:
         import wandb
 
-        wandb.finish(quiet=True)
+        wandb.finish()
 
 
 def plain(cfg: Any) -> dict[str, Any]:

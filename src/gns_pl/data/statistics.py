@@ -1,0 +1,67 @@
+"""Mean and standard deviation of more numbers than fit into memory: seen in parts, in any order, and merged."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class RunningStatistics:
+    """Count, mean and sum of squared deviations per component, in float64.
+
+    Parts are merged by the pairwise rule of Chan, Golub and LeVeque (Am. Stat. 37, 1983), of which Welford's update is
+    the case of one sample; unlike sums of squares it loses no digits where the mean is large.
+
+    | equation | code |
+    |---|---|
+    | δ = m_B − m_A | `shift` |
+    | m = m_A + δ n_B / n | `self.mean` |
+    | M₂ = M₂_A + M₂_B + δ² n_A n_B / n | `self._squares` |
+
+    Attributes:
+        count: number of samples.
+        mean: [D]; zeros before the first sample.
+    """
+
+    def __init__(self, dim: int) -> None:
+        self.count = 0
+        self.mean: NDArray[np.float64] = np.zeros(dim)
+        self._squares: NDArray[np.float64] = np.zeros(dim)
+
+    def update(self, samples: NDArray[np.floating]) -> None:
+        """Add samples.
+
+        Args:
+            samples: [M, D].
+        """
+        if samples.ndim != 2 or samples.shape[1] != len(self.mean):
+            raise ValueError(f"samples must be [M, {len(self.mean)}], not {samples.shape}")
+        if len(samples) == 0:
+            return
+        values = samples.astype(np.float64, copy=False)
+        part = RunningStatistics(len(self.mean))
+        part.count = len(values)
+        part.mean = np.asarray(values.mean(axis=0))
+        part._squares = np.asarray(np.square(values - part.mean).sum(axis=0))
+        self.merge(part)
+
+    def merge(self, other: RunningStatistics) -> None:
+        """Add the samples that `other` has seen."""
+        total = self.count + other.count
+        if other.count == 0:
+            return
+        shift = other.mean - self.mean
+        self.mean = self.mean + shift * (other.count / total)
+        self._squares = self._squares + other._squares + np.square(shift) * (self.count * other.count / total)
+        self.count = total
+
+    @property
+    def std(self) -> NDArray[np.float64]:
+        """Standard deviation of the samples seen [D] (divided by n, not n − 1); zeros before the first."""
+        return np.asarray(np.sqrt(self._squares / max(self.count, 1)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return "count", "mean" and "std" as plain values."""
+        return {"count": self.count, "mean": self.mean.tolist(), "std": self.std.tolist()}

@@ -1,0 +1,119 @@
+"""What a data set's folder says about itself while and after it is generated, and whether it is the one asked for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gns_pl.errors import InputError
+from gns_pl.generation.pool import Failure
+from gns_pl.generation.solver import solver_version
+from gns_pl.generation.spec import DatasetSpec
+from gns_pl.io import MANIFEST_NAME, StorageError, read_manifest
+from gns_pl.io.atomic import write_atomically
+
+BEGUN_NAME = "generation.json"
+FAILURES_NAME = "failures.log"
+TIMINGS_NAME = "timings.csv"
+
+
+def is_finished(folder: Path, dataset: DatasetSpec) -> bool:
+    """Return whether `folder` holds the whole data set; sums are not computed (`verify_dataset` does that).
+
+    Raises:
+        InputError: it holds another one, or a damaged manifest.
+    """
+    if not (folder / MANIFEST_NAME).exists():
+        return False
+    manifest = read_manifest(folder)
+    _check_same(folder, manifest.spec, dataset)
+    return all((folder / name).is_file() for name in manifest.files)
+
+
+def check_folder(folder: Path, dataset: DatasetSpec) -> None:
+    """Check that `dataset` may be generated in `folder`; nothing is written.
+
+    Raises:
+        InputError: it holds another data set, something else, or one begun with another version of the solver.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file, not a folder.")
+    path = folder / BEGUN_NAME
+    if not path.exists():
+        if (folder / MANIFEST_NAME).exists():
+            raise InputError(f"{folder}: lacks files of its manifest and {BEGUN_NAME}, so copy the whole folder again.")
+        if folder.exists() and any(not entry.name.startswith(".") for entry in folder.iterdir()):
+            raise InputError(f"{folder}: is not empty and not a data set of gns_pl; choose another folder.")
+        return
+    try:
+        begun = json.loads(path.read_text(encoding="utf-8"))
+        spec, version = dict(begun["spec"]), str(begun["solver_version"])
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise InputError(f"{path}: is damaged or not of gns_pl.") from error
+    _check_same(folder, spec, dataset)
+    if version != solver_version():
+        raise InputError(
+            f"{folder}: was begun with another version of the solver ({version}, this is {solver_version()}); "
+            f"remove the folder, or choose another one."
+        )
+
+
+def claim_folder(folder: Path, dataset: DatasetSpec) -> None:
+    """Check `folder` again and write down what is generated in it; the caller holds the folder's lock.
+
+    Raises:
+        InputError: as `check_folder`.
+        StorageError: the disk refuses.
+    """
+    check_folder(folder, dataset)
+    if not (folder / BEGUN_NAME).exists():
+        text = json.dumps({"solver_version": solver_version(), "spec": dataset.to_dict()}, indent=1) + "\n"
+        write_atomically(folder / BEGUN_NAME, text.encode())
+
+
+def append_timing(folder: Path, file_name: str, wall_seconds: float) -> None:
+    """Note how long the solver took for a file; kept out of the file, which is the same bytes every time.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    path = folder / TIMINGS_NAME
+    try:
+        with path.open("a", encoding="utf-8") as file:
+            if file.tell() == 0:
+                file.write("file,wall_seconds\n")
+            file.write(f"{file_name},{wall_seconds:.3f}\n")
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be written ({error.strerror}).") from error
+
+
+def write_failures(folder: Path, failures: Mapping[str, Failure]) -> None:
+    """Write the failures of this run with their tracebacks, or remove those of an earlier run."""
+    path = folder / FAILURES_NAME
+    if not failures:
+        path.unlink(missing_ok=True)
+    elif not any(failure.final for failure in failures.values()):
+        text = "\n".join(f"{name}: {failure.sentence}\n{failure.details}" for name, failure in failures.items())
+        write_atomically(path, text.encode())
+
+
+def first_difference(there: Any, here: Any, key: str = "") -> str | None:
+    """Return the first key at which two plain structures differ and the two values, in words; None if they agree."""
+    if isinstance(there, Mapping) and isinstance(here, Mapping):
+        for name in sorted({*there, *here}):
+            below = f"{key}.{name}" if key else str(name)
+            if name not in there or name not in here:
+                return f"{below} is only {'there' if name in there else 'asked for'}"
+            difference = first_difference(there[name], here[name], below)
+            if difference is not None:
+                return difference
+        return None
+    return None if there == here else f"{key} is {there} there and {here} is asked for"
+
+
+def _check_same(folder: Path, there: Mapping[str, Any], dataset: DatasetSpec) -> None:
+    difference = first_difference(there, dataset.to_dict())
+    if difference is not None:
+        raise InputError(f"{folder}: holds another data set ({difference}); choose another folder, or remove it.")

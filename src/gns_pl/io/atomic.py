@@ -1,0 +1,63 @@
+"""A file appears whole or not at all, also under `kill -9`, a full disk or a power cut."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gns_pl.errors import InputError
+
+TEMPORARY_SUFFIX = ".part"
+
+
+class StorageError(InputError):
+    """The disk refused to take a file: full, read-only or failing. Trying the next file would not help."""
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path` that becomes `path` when the block ends well, and is removed otherwise.
+
+    The content is on the disk before the name is, and the name is on the disk before this returns.
+
+    Raises:
+        StorageError: the operating system refused; `path` is as it was.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{TEMPORARY_SUFFIX}")
+    try:
+        yield temporary
+        _sync(temporary)
+        temporary.replace(path)
+        _sync(path.parent)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be written ({error.strerror or error}).") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_atomically(path: str | Path, content: bytes | memoryview) -> None:
+    """Write `content` to `path`, whole or not at all.
+
+    Raises:
+        StorageError: the operating system refused; `path` is as it was.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def remove_temporary_files(directory: str | Path, name: str = "*") -> None:
+    """Remove what killed writers of `name` left in `directory`; only for whoever is alone in writing there."""
+    for leftover in Path(directory).glob(f".{name}.*{TEMPORARY_SUFFIX}"):
+        leftover.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

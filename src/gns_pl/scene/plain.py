@@ -1,0 +1,77 @@
+"""A scene as plain dicts, YAML and JSON, and back; unknown and missing keys are named."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gns_pl.errors import InputError
+from gns_pl.scene.definition import Body, Material, Scene, Wall
+
+
+def part_from_dict(cls: type, owner: str, data: Any) -> Any:
+    """Construct a dataclass from a mapping; unknown and missing keys are named."""
+    if not isinstance(data, Mapping):
+        raise InputError(f"{owner} must be a mapping of names to values, not {type(data).__name__}.")
+    known = {field.name: field for field in dataclasses.fields(cls)}
+    unknown = [str(key) for key in data if key not in known]
+    if unknown:
+        raise InputError(f"{owner}: unknown key {', '.join(unknown)}; known are {', '.join(known)}.")
+    missing = [name for name, f in known.items() if f.default is dataclasses.MISSING and name not in data]
+    if missing:
+        raise InputError(f"{owner}: missing key {', '.join(missing)}.")
+    return cls(**data)
+
+
+def scene_from_dict(data: Mapping[str, Any]) -> Scene:
+    """Build a `Scene` from its plain-dict form.
+
+    Raises:
+        InputError: unknown or missing keys, or values a `Scene` refuses.
+    """
+    if not isinstance(data, Mapping):
+        raise InputError(f"a scene must be a mapping of names to values, not {type(data).__name__}.")
+    parts = dict(data)
+    for key, cls in (("materials", Material), ("walls", Wall)):
+        value = parts.get(key, {})
+        if not isinstance(value, Mapping):
+            raise InputError(f"scene: {key} must be a mapping, not {type(value).__name__}.")
+        parts[key] = {str(name): part_from_dict(cls, f"{key[:-1]} {name!r}", entry) for name, entry in value.items()}
+    bodies = parts.get("bodies", ())
+    if not isinstance(bodies, list | tuple):
+        raise InputError(f"scene: bodies must be a list, not {type(bodies).__name__}.")
+    parts["bodies"] = tuple(part_from_dict(Body, f"body {index}", body) for index, body in enumerate(bodies))
+    scene: Scene = part_from_dict(Scene, "scene", parts)
+    return scene
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read a scene from a `.yaml`, `.yml` or `.json` file.
+
+    Raises:
+        InputError: no such file, not YAML or JSON, or not a scene; the file is named.
+    """
+    path = Path(path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is YAML
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f"{path}: is not YAML or JSON.") from None
+    try:
+        return scene_from_dict(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def write_scene(scene: Scene, path: str | Path) -> None:
+    """Write a scene to `path` as JSON (`.json`) or YAML (any other ending)."""
+    path = Path(path)
+    data = scene.to_dict()
+    text = json.dumps(data, indent=2) if path.suffix == ".json" else yaml.safe_dump(data, sort_keys=False)
+    path.write_text(text, encoding="utf-8")

@@ -1,0 +1,89 @@
+"""evaluate.py as a user runs it: its refusals and its configuration."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gns_pl.checkpoint import Checkpoint, save_checkpoint
+from tests.conftest import make_simulator
+from tests.evaluation.test_scenes import DATA
+
+DOOR = Path(__file__).parents[2] / "evaluate.py"
+
+
+def call(folder, *arguments, **environment):
+    return subprocess.run(
+        [sys.executable, str(DOOR), *arguments],
+        cwd=folder,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "which checkpoint? Name one: python evaluate.py ckpt=runs/…/last.ckpt"),
+        (("ckpt=nowhere/last.ckpt",), "nowhere/last.ckpt: there is no such checkpoint."),
+        (("ckpt=foreign.ckpt", "evaluation.figures=false"), "foreign.ckpt: is not a readable checkpoint"),
+    ],
+)
+def test_refusals_are_one_sentence_and_leave_nothing_behind(tmp_path, arguments, message) -> None:
+    (tmp_path / "foreign.ckpt").write_text("not a checkpoint")
+    done = call(tmp_path, *arguments)
+    assert done.returncode == 2
+    assert done.stderr.strip().startswith(f"evaluate.py: {message}")
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["foreign.ckpt"]
+
+
+def test_a_missing_checkpoint_is_refused_before_torch_is_imported(tmp_path) -> None:
+    done = call(tmp_path, "ckpt=nowhere.ckpt", PYTHONPROFILEIMPORTTIME="1")
+    assert "omegaconf" in done.stderr
+    assert not any(line.endswith((" torch", " matplotlib", " wandb")) for line in done.stderr.splitlines())
+
+
+def test_config_composes_with_the_documented_overrides() -> None:
+    from hydra import compose, initialize_config_dir
+
+    overrides = ["ckpt=a/last.ckpt", "+evaluation.scenes.mine=scene.yaml", "evaluation.only=[mine,column_0.8]"]
+    with initialize_config_dir(str(DOOR.parent / "conf"), version_base=None):
+        cfg = compose("evaluate", overrides=[*overrides, "logger.offline=false", "logger.enabled=false"])
+    assert list(cfg.evaluation.only) == ["mine", "column_0.8"]
+    assert cfg.evaluation.scenes.mine == "scene.yaml"
+    assert len(DOOR.read_text().splitlines()) <= 30
+
+
+@pytest.mark.slow
+def test_a_whole_run_from_two_folders_gives_the_same_numbers(tmp_path) -> None:
+    mpm = {"cell_size": 1 / 12, "points_per_direction": 2, "courant": 0.3, "transfer": "flip", "damping_rate": 20.0}
+    data = DATA | {"mpm": mpm | {"viscosity_time": 1e-3, "jitter": 0.7}}
+    simulator = make_simulator(dt=0.02, connectivity_radius=0.08, output="gated")
+    settings = ("evaluation.only=column_2.0", "evaluation.duration=3", "logger.enabled=false")
+    documents = []
+    for folder in ("here", "there"):
+        (tmp_path / folder).mkdir()
+        if documents:
+            shutil.copy(tmp_path / "here" / "a.ckpt", tmp_path / "there" / "a.ckpt")
+        else:
+            save_checkpoint(tmp_path / "here" / "a.ckpt", Checkpoint(simulator, data, {}))
+        done = call(tmp_path / folder, "ckpt=a.ckpt", *settings)
+        assert done.returncode == 0, done.stderr
+        made = tmp_path / folder / "evaluation"
+        assert {"table.md", "column_2.0.gif", "runout_height.pdf"} <= {path.name for path in made.iterdir()}
+        document = json.loads((made / "metrics.json").read_text())
+        scene = document["scenes"]["column_2.0"]
+        assert scene.pop("wall_seconds").keys() == scene.pop("made_by").keys() == {"reference", "learned"}
+        documents.append(document)
+    first, second = (document["scenes"]["column_2.0"] for document in documents)
+    for key in ("reference", "learned", "no_motion", "errors"):
+        assert first[key] == second[key], key
+    assert documents[0] == documents[1]
+    assert scene["reference"]["runout_99"] > 1

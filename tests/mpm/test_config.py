@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+from gns_pl.errors import InputError
+from gns_pl.mpm import COURANT_LIMIT, simulate
+from gns_pl.mpm.compiled import _FOLDER, compiled
+from gns_pl.scene import Body
+from tests.mpm.conftest import make_box, make_mpm
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"cell_size": 0.0}, "cell_size"),
+        ({"cell_size": "wide"}, "cell_size"),
+        ({"courant": float("nan")}, "courant"),
+        ({"courant": 0.61}, "allow_large_courant"),
+        ({"points_per_direction": 0}, "points_per_direction"),
+        ({"points_per_direction": 2.5}, "whole"),
+        ({"transfer": "musl"}, "flip, apic, pic"),
+        ({"damping_rate": -1.0}, "damping_rate"),
+        ({"viscosity_time": -1.0}, "viscosity_time"),
+        ({"jitter": 1.0}, "jitter"),
+    ],
+)
+def test_refuses_in_one_sentence(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said) as refused:
+        make_mpm(**changes)
+    assert str(refused.value).count("\n") == 0
+
+
+def test_a_large_courant_number_is_taken_when_asked_for_by_name() -> None:
+    assert make_mpm(courant=COURANT_LIMIT).courant == COURANT_LIMIT
+    assert make_mpm(courant=1.5, allow_large_courant=True).courant == 1.5
+
+
+def test_spacing() -> None:
+    assert make_mpm().spacing == pytest.approx(1 / 48)
+
+
+def test_refuses_cells_larger_than_the_box_and_frames_without_length() -> None:
+    scene = make_box((1.0, 1.0), Body((0.1, 0.1), (0.2, 0.2), (0.0, 0.0)), duration=0.1)
+    with pytest.raises(InputError, match="cell of 2 m"):
+        simulate(scene, make_mpm(cell_size=2.0), frame_interval=0.01)
+    with pytest.raises(InputError, match="frame_interval"):
+        simulate(scene, make_mpm(), frame_interval=0.0)
+
+
+def test_importing_the_room_does_not_import_numba() -> None:
+    code = "import sys, gns_pl.mpm; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def _twice(x: float) -> float:
+    return 2 * x
+
+
+def test_the_cache_is_named_by_the_sources_and_numba_is_left_as_it_was() -> None:
+    before = numba.config.CACHE_DIR
+    function = compiled(_twice)
+    assert before == numba.config.CACHE_DIR
+    assert function(2.0) == 4.0
+    assert Path(_FOLDER).name.startswith("mpm-")
+    assert any(Path(_FOLDER).rglob("*_twice*.nbi"))

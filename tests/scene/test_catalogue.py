@@ -1,0 +1,104 @@
+"""The standard scenes are what they say, and everything drawn stays in its ranges and in the box."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gns_pl.errors import InputError
+from gns_pl.scene import (
+    FACES,
+    Material,
+    Wall,
+    block_release,
+    column_collapse,
+    sample_block_release,
+    sample_cube_drop,
+)
+
+COMMON: dict[str, Any] = {"gravity": 9.81, "duration": 1.0, "material": Material(1800, 2e6, 0.3, 30)}
+WALLS = {dim: {face: Wall("friction", 0.4) for face in FACES[dim]} for dim in FACES}
+DROP: dict[str, Any] = {"domain": (1, 1.5, 0.8), "side": (0.25, 0.4), "speed": 1.5, "max_drop": 0.3}
+BLOCK: dict[str, Any] = {"domain": (1, 1.5, 0.8), "length": (0.2, 0.5), "aspect_ratio": (0.4, 3.0), "at_wall": 0.5}
+
+
+def test_column_spans_the_width_against_the_wall() -> None:
+    scene = column_collapse(domain=(1.5, 0.5, 0.7), length=0.3, height=0.6, walls=WALLS[3], **COMMON)
+    assert (scene.lower, scene.upper) == ((0, 0, 0), (1.5, 0.5, 0.7))
+    assert (scene.bodies[0].position, scene.bodies[0].size) == ((0, 0, 0), (0.3, 0.5, 0.6))
+    assert scene.gravity == (0, 0, -9.81)
+    flat = column_collapse(domain=(1.5, 0.7), length=0.3, height=0.6, walls=WALLS[2], **COMMON)
+    assert flat.bodies[0].size == (0.3, 0.6)
+
+
+def test_block_stands_on_the_floor_at_rest() -> None:
+    scene = block_release(domain=(1, 1, 1), size=(0.2, 0.3, 0.4), position=(0.1, 0.5), walls=WALLS[3], **COMMON)
+    assert scene.bodies[0].position == (0.1, 0.5, 0)
+    assert scene.bodies[0].velocity == (0, 0, 0)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_drops_stay_in_range(dim: int) -> None:
+    parameters = DROP | {"domain": DROP["domain"][-dim:]}
+    drawn = []
+    for seed in range(300):
+        scene = sample_cube_drop(np.random.default_rng(seed), walls=WALLS[dim], **parameters, **COMMON)
+        (body,) = scene.bodies
+        assert len(set(body.size)) == 1
+        drawn.append([body.size[0], body.position[-1], max(map(abs, body.velocity))])
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert (low >= [0.25, 0, 0]).all()
+    assert (high <= [0.4, 0.3, 1.5]).all()
+    assert (high - low > 0.9 * np.array([0.15, 0.3, 1.0])).all()  # and the ranges are used
+
+
+def test_blocks_stay_in_range_and_half_of_them_touch_a_wall() -> None:
+    touching, ratios = [], []
+    for seed in range(300):
+        scene = sample_block_release(np.random.default_rng(seed), walls=WALLS[3], **BLOCK, **COMMON)
+        (body,) = scene.bodies
+        assert 0.2 <= min(body.size[:2]) <= max(body.size[:2]) <= 0.5
+        assert body.size[2] <= 0.9 * 0.8 + 1e-12
+        ratios.append(body.size[2] / body.size[0])
+        touching.append([abs(body.position[axis] * (body.upper[axis] - scene.upper[axis])) < 1e-9 for axis in (0, 1)])
+    assert min(ratios) >= 0.4
+    assert max(ratios) <= 3.0
+    assert (np.mean(touching, axis=0) > 0.4).all()
+    assert (np.mean(touching, axis=0) < 0.6).all()
+
+
+@pytest.mark.parametrize(("sampler", "parameters"), [(sample_cube_drop, DROP), (sample_block_release, BLOCK)])
+def test_the_same_seed_draws_the_same_scene(sampler: Any, parameters: dict[str, Any]) -> None:
+    def draw(seed: int) -> Any:
+        return sampler(np.random.default_rng(seed), walls=WALLS[3], **parameters, **COMMON)
+
+    assert draw(3) == draw(3)
+    assert draw(3) != draw(4)
+
+
+@pytest.mark.parametrize(
+    ("sampler", "parameters", "changes", "sentence"),
+    [
+        (sample_cube_drop, DROP, {"side": (0.4, 0.25)}, "side must be two positive numbers, the smaller first"),
+        (sample_cube_drop, DROP, {"side": (0, 0.25)}, "side must be two positive"),
+        (sample_cube_drop, DROP, {"side": (0.25,)}, "side must be two positive"),
+        (sample_cube_drop, DROP, {"side": "big"}, "side must be a list of numbers"),
+        (sample_cube_drop, DROP, {"side": (0.3, 0.9)}, "does not fit a domain"),
+        (sample_cube_drop, DROP, {"speed": -1}, "speed must be"),
+        (sample_cube_drop, DROP, {"speed": float("nan")}, "speed must be"),
+        (sample_cube_drop, DROP, {"max_drop": -0.1}, "max_drop must be"),
+        (sample_cube_drop, DROP, {"domain": (1, "x", 1)}, "domain must be a list of numbers"),
+        (sample_block_release, BLOCK, {"length": (0.2, 1.0)}, "does not fit a domain"),
+        (sample_block_release, BLOCK, {"aspect_ratio": 0.5}, "aspect_ratio must be a list of numbers"),
+        (sample_block_release, BLOCK, {"aspect_ratio": (0, 1)}, "aspect_ratio must be two positive"),
+        (sample_block_release, BLOCK, {"at_wall": 1.5}, "at_wall is a probability"),
+        (sample_block_release, BLOCK, {"at_wall": "often"}, "at_wall must be a number"),
+    ],
+)
+def test_ranges_that_make_no_sense_are_refused(
+    sampler: Any, parameters: dict[str, Any], changes: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(InputError, match=sentence):
+        sampler(np.random.default_rng(0), walls=WALLS[3], **(parameters | changes), **COMMON)
