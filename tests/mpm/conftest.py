@@ -84,7 +84,7 @@ def energy(trajectory: Trajectory) -> NDArray[np.float64]:
 def swelling(trajectory: Trajectory, bin_size: float = 1 / 12) -> float:
     """Mean height of the deposit over that of the same mass at the initial density: 1 if no volume was made or lost.
 
-    The floor is cut into square bins; a bin with the material volume v over its area stands v high, its middle at v / 2.
+    The floor is cut into square bins. Material that fills a bin to the height v has its middle at v / 2.
     """
     final = trajectory.position[-1].astype(np.float64)
     edge = np.array(trajectory.scene.upper[:-1])

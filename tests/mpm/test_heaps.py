@@ -108,13 +108,11 @@ def test_a_hard_landing_keeps_the_volume(dim: int, points: int) -> None:
     assert rise < 1e-3
 
 
-@pytest.mark.parametrize("transfer", ["flip", "apic", "pic"])
-def test_every_transfer_collapses_a_column_and_pic_least(transfer: str) -> None:
-    scene = make_box(
-        (1.5, 0.6), Body((0.0, 0.0), (0.3, 0.5), (0.0, 0.0)), duration=0.9, lower_z=Wall("friction", 0.385)
-    )
-    fronts = {
-        name: float(np.quantile(simulate(scene, make_mpm(transfer=name), frame_interval=0.01).position[-1][:, 0], 0.99))
-        for name in {transfer, "pic"}
-    }
-    assert 0.4 < fronts["pic"] <= fronts[transfer] < 1.45
+def test_the_more_a_transfer_damps_the_shorter_the_column_runs() -> None:
+    body, floor = Body((0.0, 0.0), (0.3, 0.5), (0.0, 0.0)), Wall("friction", 0.385)
+    scene = make_box((1.5, 0.6), body, duration=0.9, lower_z=floor)
+    front = {}
+    for transfer in ("pic", "apic", "flip"):
+        run = simulate(scene, make_mpm(transfer=transfer), frame_interval=0.01)
+        front[transfer] = np.quantile(run.position[-1][:, 0], 0.99)
+    assert 0.3 < front["pic"] < 0.5 < front["apic"] < front["flip"] < 1.4

@@ -1,0 +1,170 @@
+"""One number per question: what a trajectory did (`summarise`), how far off a rollout is (`rollout_errors`).
+
+Pure NumPy, so that training can validate by rollout and the evaluate door judges by the very same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gns_pl.evaluation import measures
+from gns_pl.evaluation.curves import Curves, Quantity, compute_curves, cut, mobile, num_finite_frames
+from gns_pl.trajectory import Trajectory
+
+MSE_STEPS = (1, 5, 20, 50, 100)
+"""Numbers of steps n for which MSE_n is reported, besides the whole rollout."""
+
+SPACING_FRAMES = 48
+"""Nearest neighbours are looked for in at most this many frames, evenly spaced, first and last among them."""
+
+PROFILE_BIN = 2.0
+"""Width of a bin of the deposit profile, in particle spacings."""
+
+FINAL = (
+    "runout_99",
+    "runout_995",
+    "runout_max",
+    "height_99",
+    "height_max",
+    "mean_height",
+    "centre_of_mass_x",
+    "kinetic_energy",
+    "potential_energy",
+    "dissipated_energy",
+    "speed_mean",
+    "speed_99",
+)
+"""Entries of `CURVES` whose last value belongs to the summary, under the same name."""
+
+SUMMARY: tuple[Quantity, ...] = (
+    Quantity("runout_99", "L0", "final runout, 99 % of the mass; the one to judge by"),
+    Quantity("runout_995", "L0", "final runout, 99.5 % of the mass"),
+    Quantity("runout_max", "L0", "final runout of the foremost particle"),
+    Quantity("height_99", "L0", "final height, 99 % of the mass"),
+    Quantity("height_max", "L0", "final height of the highest particle"),
+    Quantity("mean_height", "m", "final mass-weighted mean height over the floor"),
+    Quantity("centre_of_mass_x", "m", "final mass-weighted mean distance from the x- wall"),
+    Quantity("kinetic_energy", "J", "final kinetic energy"),
+    Quantity("potential_energy", "J", "final potential energy"),
+    Quantity("dissipated_energy", "J", "kinetic and potential energy lost from start to end"),
+    Quantity("speed_mean", "m/s", "final mean speed"),
+    Quantity("speed_99", "m/s", "final speed that 99 % of the particles do not exceed"),
+    Quantity("kinetic_energy_peak", "J", "largest kinetic energy of any frame"),
+    Quantity("speed_peak", "m/s", "largest mean speed of any frame"),
+    Quantity("arrest_time", "τc", "time from which on the 99 % front has less than 2 % of its advance left"),
+    Quantity("penetration_max", "spacing", "greatest depth of any particle outside the box in any frame"),
+    Quantity(
+        "penetrating_fraction", "1", "largest share of particles deeper than half a spacing outside, of any frame"
+    ),
+    Quantity(
+        "spacing_1", "spacing", "nearest-neighbour distance that 1 % of the particles fall below, least of frames"
+    ),
+    Quantity("spacing_min", "spacing", "smallest nearest-neighbour distance of any frame looked at"),
+)
+"""Every key of `summarise`, in order."""
+
+ERRORS: tuple[Quantity, ...] = (
+    Quantity("finite_fraction", "1", "share of the reference's frames that the rollout reached with finite positions"),
+    Quantity("runout_99_error", "1", "final 99 % runout, relative: (rollout − reference) / |reference|"),
+    Quantity("runout_995_error", "1", "final 99.5 % runout, relative"),
+    Quantity("runout_max_error", "1", "final runout of the foremost particle, relative"),
+    Quantity("runout_99_difference", "L0", "final 99 % runout, rollout − reference; defined if the reference stays"),
+    Quantity("height_99_error", "1", "final 99 % height, relative"),
+    Quantity("height_max_error", "1", "final maximum height, relative"),
+    Quantity("mean_height_error", "1", "final mean height, relative; −1 would be a pancake"),
+    Quantity("profile_l1", "1", "area between the final deposits' profiles over the area of the reference's"),
+    *(
+        Quantity(f"mse_{n}", "m²", f"squared position error, mean over frames 1 to {n}, particles and axes")
+        for n in MSE_STEPS
+    ),
+    Quantity("mse_end", "m²", "the same over all frames"),
+    Quantity(
+        "position_error", "spacing", "root mean square distance of a particle from its reference in the last frame"
+    ),
+)
+"""Every key of `rollout_errors` that compares; the keys of `SUMMARY` follow with the rollout's own values."""
+
+MINIMAL_RUNOUT = 1e-3
+"""Relative runout errors are NaN where the reference advances by less than this [L0]."""
+
+
+def summarise(trajectory: Trajectory, curves: Curves | None = None) -> dict[str, float]:
+    """Return the entries of `SUMMARY`.
+
+    Args:
+        trajectory: finite in every frame.
+        curves: its `compute_curves`, if there already.
+    """
+    flow = mobile(trajectory)
+    curves = compute_curves(flow) if curves is None else curves
+    spacing = measures.particle_spacing(flow)
+    depth = measures.penetration(flow) / spacing
+    frames = np.unique(np.linspace(0, flow.num_frames - 1, min(SPACING_FRAMES, flow.num_frames)).round().astype(int))
+    near = [measures.nearest_neighbour_distance(flow.position[frame].astype(np.float64)) / spacing for frame in frames]
+    values = {name: float(curves[name][-1]) for name in FINAL}
+    return values | {
+        "kinetic_energy_peak": float(curves["kinetic_energy"].max()),
+        "speed_peak": float(curves["speed_mean"].max()),
+        "arrest_time": measures.arrest_time(curves["time_tau"], curves["runout_99"]),
+        "penetration_max": float(depth.max()),
+        "penetrating_fraction": float((depth > 0.5).mean(axis=1).max()),
+        "spacing_1": float(min(np.percentile(distance, 1) for distance in near)),
+        "spacing_min": float(min(distance.min() for distance in near)),
+    }
+
+
+def rollout_errors(predicted: Trajectory, reference: Trajectory) -> dict[str, float]:
+    """Compare a rollout with its reference, particle by particle and as a whole.
+
+    Both are judged at the reference's last frame; a longer rollout is cut. A rollout that ends earlier, or is not
+    finite there, has failed: everything but `finite_fraction` and those MSE_n that it reached is NaN.
+
+    Args:
+        predicted: the rollout, from the reference's first frame.
+        reference: the same particles.
+
+    Returns:
+        The entries of `ERRORS`, then the rollout's own `SUMMARY`.
+
+    Raises:
+        InputError: different particles or time steps.
+    """
+    finite = min(num_finite_frames(predicted), reference.num_frames)
+    predicted, reference = mobile(cut(predicted, finite)), mobile(reference)
+    squared = measures.position_mse(predicted, reference)
+    failed = finite < reference.num_frames
+    steps = reference.num_frames - 1
+    errors = dict.fromkeys((quantity.name for quantity in (*ERRORS, *SUMMARY)), math.nan)
+    errors["finite_fraction"] = finite / reference.num_frames
+    errors |= {f"mse_{n}": measures.rollout_mse(squared, n) for n in MSE_STEPS}
+    if failed:
+        return errors
+    spacing = measures.particle_spacing(reference)
+    got, truth = summarise(predicted), {name: float(c[-1]) for name, c in compute_curves(reference).items()}
+    for name in ("runout_99", "runout_995", "runout_max"):
+        errors[f"{name}_error"] = _relative(got[name], truth[name], MINIMAL_RUNOUT)
+    for name in ("height_99", "height_max", "mean_height"):
+        errors[f"{name}_error"] = _relative(got[name], truth[name], 0.0)
+    errors["runout_99_difference"] = got["runout_99"] - truth["runout_99"]
+    errors["profile_l1"] = profile_l1(predicted, reference)
+    errors["mse_end"] = measures.rollout_mse(squared, steps)
+    errors["position_error"] = math.sqrt(squared[-1] * reference.scene.dim) / spacing
+    return errors | got
+
+
+def profile_l1(predicted: Trajectory, reference: Trajectory) -> float:
+    """Return ∫ |h − h_reference| dx / ∫ h_reference dx of the last frames (`measures.deposit_profile`)."""
+    width = PROFILE_BIN * measures.particle_spacing(reference)
+    heights = [
+        measures.deposit_profile(
+            flow.position[-1].astype(np.float64), flow.mass.astype(np.float64), reference.scene, width
+        )[1]
+        for flow in (predicted, reference)
+    ]
+    return float(np.abs(heights[0] - heights[1]).sum() / heights[1].sum())
+
+
+def _relative(value: float, truth: float, least: float) -> float:
+    return (value - truth) / abs(truth) if abs(truth) > least else math.nan

@@ -1,0 +1,86 @@
+"""The scenes an evaluation runs: columns by their edges, or any scene from a file of its own.
+
+A column takes its material, its walls and its gravity from the data of the checkpoint.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gns_pl.errors import InputError
+from gns_pl.evaluation.measures import characteristic_time
+from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
+
+
+def build_scenes(
+    specifications: Mapping[str, Any],
+    *,
+    only: Sequence[str] | str | None,
+    domain: Sequence[float],
+    duration: float,
+    interval: float,
+    data: Mapping[str, Any],
+) -> dict[str, Scene]:
+    """Return name → scene.
+
+    Args:
+        specifications: name → {length, height} of a column [m], or the path of a scene file.
+        only: names to keep; None keeps all.
+        domain: edge lengths of the columns' box, x, y and z [m]; y is left out for data in two dimensions.
+        duration: simulated time of the columns, in characteristic times τc.
+        interval: time between frames [s]; the duration is rounded up to whole frames.
+        data: the specification of the checkpoint's data; its gravity, material and walls are the columns'.
+
+    Raises:
+        InputError: an unknown name in `only`, no scene at all, a scene that cannot be built, or data that do not say
+            what they are made of.
+    """
+    only = [only] if isinstance(only, str) else only
+    unknown = [name for name in only or () if name not in specifications]
+    if unknown:
+        raise InputError(f"evaluation.only: no scene {', '.join(unknown)}; known are {', '.join(specifications)}.")
+    chosen = {name: spec for name, spec in specifications.items() if spec is not None and (not only or name in only)}
+    if not chosen:
+        raise InputError("evaluation.scenes: there is no scene to evaluate.")
+    if not isinstance(duration, int | float) or not (math.isfinite(duration) and duration > 0):
+        raise InputError(f"evaluation.duration must be positive, in characteristic times, not {duration}.")
+    scenes = {}
+    for name, spec in chosen.items():
+        if not re.fullmatch(r"[\w.-]+", name):
+            raise InputError(f"evaluation.scenes: {name!r} must be a word (letters, digits, . _ -): it names files.")
+        if isinstance(spec, str):
+            scenes[name] = read_scene(Path(spec))
+            characteristic_time(scenes[name])  # refuses a scene without gravity before it is simulated
+            continue
+        scene = _column(name, spec, domain, data)
+        frames = math.ceil(duration * characteristic_time(scene) / interval - 1e-6)
+        scenes[name] = scene.replace(duration=frames * interval)
+    return scenes
+
+
+def _column(name: str, spec: Any, domain: Sequence[float], data: Mapping[str, Any]) -> Scene:
+    if not isinstance(spec, Mapping) or sorted(spec) != ["height", "length"]:
+        raise InputError(f"evaluation.scenes.{name} must be {{length, height}} in metres or the path of a scene file.")
+    missing = [key for key in ("gravity", "material", "walls") if key not in data]
+    if missing:
+        raise InputError(
+            f"this checkpoint's data do not state their {', '.join(missing)}, so no column can be built; "
+            "give a scene file: '+evaluation.scenes.mine=scene.yaml' 'evaluation.only=[mine]'."
+        )
+    box = list(domain) if len(data["walls"]) == 6 else [domain[0], domain[-1]]
+    geometry: dict[str, Any] = {
+        "domain": box,
+        "length": spec["length"],
+        "height": spec["height"],
+        "gravity": data["gravity"],
+        "material": part_from_dict(Material, "the checkpoint's material", data["material"]),
+        "walls": {
+            face: part_from_dict(Wall, f"the checkpoint's wall {face}", data["walls"][face]) for face in data["walls"]
+        },
+        "name": name,
+    }
+    return column_collapse(duration=1.0, **geometry)

@@ -1,0 +1,68 @@
+"""An evaluation as a W&B run, offline unless asked otherwise: no account is ever needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gns_pl.errors import InputError
+
+
+def log_evaluation(
+    document: Mapping[str, Any], files: Sequence[Path], *, out: Path, offline: bool, project: str
+) -> Path:
+    """Log tables, images, animations and the summary, and close the run whatever happens.
+
+    Args:
+        document: the content of metrics.json.
+        files: what was made; PNG and GIF files are logged.
+        out: folder under which W&B puts its own folder.
+        offline: keep the run on this disk.
+        project: W&B project.
+
+    Returns:
+        Folder of the run.
+
+    Raises:
+        InputError: W&B refuses to start, as it does online without an account. The results are on disk by then.
+    """
+    import wandb
+
+    try:
+        run = wandb.init(
+            project=project,
+            job_type="evaluation",
+            dir=str(out),
+            mode="offline" if offline else "online",
+            config=dict(document["checkpoint"]),
+            settings=wandb.Settings(silent=True, console="off"),
+        )
+    except wandb.errors.Error as error:
+        raise InputError(
+            f"W&B could not start ({error}); the results are in {out}, and logger.offline=true needs no account."
+        ) from error
+    try:
+        folder = Path(run.dir).parent
+        media: dict[str, Any] = {file.stem: wandb.Image(str(file)) for file in files if file.suffix == ".png"}
+        media |= {f"animation_{file.stem}": wandb.Video(str(file)) for file in files if file.suffix == ".gif"}
+        run.log(media | {"metrics": _table(wandb, document)})
+        for name, scene in document["scenes"].items():
+            for group in ("learned", "reference", "wall_seconds"):
+                run.summary.update({f"{name}/{group}/{key}": value for key, value in scene[group].items()})
+            errors = scene["errors"]["learned"]
+            run.summary.update({f"{name}/errors/{key}": value for key, value in errors.items()})
+            run.summary.update({f"{name}/failed_at": scene["failed_at"]})
+    finally:
+        wandb.finish()
+    return folder
+
+
+def _table(wandb: Any, document: Mapping[str, Any]) -> Any:
+    table = wandb.Table(columns=["scene", "quantity", "reference", "learned", "no_motion"])
+    for name, scene in document["scenes"].items():
+        for key in scene["reference"]:
+            table.add_data(name, key, *(scene[who][key] for who in ("reference", "learned", "no_motion")))
+        for key, value in scene["errors"]["learned"].items():
+            table.add_data(name, key, None, value, scene["errors"]["no_motion"][key])
+    return table

@@ -1,0 +1,58 @@
+"""A tiny dataset made by the real solver, once per session, and configs that train on it in seconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+FAMILIES = {
+    "cube_drop": {
+        "count": 3,
+        "valid": 1,
+        "test": 0,
+        "duration": 0.2,
+        "domain": [1.0, 1.0, 1.0],
+        "side": [0.25, 0.3],
+        "speed": 1.0,
+        "max_drop": 0.1,
+    }
+}
+CONF = Path(__file__).parents[2] / "conf"
+
+TINY = [
+    "+experiment=quickstart",
+    "data.frame_interval=0.02",
+    "data.mpm.cell_size=0.125",
+    "model.connectivity_radius=0.11",
+    "model.latent_size=8",
+    "model.num_message_passing_steps=1",
+    "training.optimisation.num_steps=6",
+    "training.optimisation.warmup_steps=2",
+    "trainer.val_check_interval=3",
+    "trainer.enable_progress_bar=false",
+    "trainer.log_every_n_steps=1",
+    "callbacks.last.every_n_steps=2",
+]
+
+
+@pytest.fixture(scope="session")
+def data_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data") / "tiny"
+
+
+def make_config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
+    """Compose conf/train.yaml as the door does, for a run in `output`, without W&B."""
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(CONF), version_base=None):
+        cfg = compose("train", [*TINY, f"data.root={data_root}", "~logger.wandb", *overrides])
+    with open_dict(cfg):
+        cfg.data.families = FAMILIES
+        cfg.callbacks.last.directory = str(output)
+        cfg.callbacks.best.dirpath = str(output)
+        cfg.logger.csv.save_dir = str(output)
+    assert OmegaConf.missing_keys(cfg) == set()
+    return cfg

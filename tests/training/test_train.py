@@ -1,0 +1,110 @@
+"""Training as a whole: it learns, its checkpoint rebuilds itself, and a resumed run ends where a whole one does."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from gns_pl.checkpoint import load_checkpoint
+from gns_pl.errors import InputError
+from gns_pl.training.module import learning_rate_factor
+from gns_pl.training.resume import find_resume
+from gns_pl.training.train import statistics, train
+from tests.training.conftest import make_config
+
+
+def weights(path: Path) -> dict[str, torch.Tensor]:
+    content = torch.load(path, weights_only=True)
+    assert content["global_step"] == 6
+    state: dict[str, torch.Tensor] = content["current_model_state"] | {
+        f"average.{name}": value for name, value in content["state_dict"].items()
+    }
+    return state
+
+
+def test_a_resumed_run_equals_an_uninterrupted_one(data_root: Path, tmp_path: Path) -> None:
+    whole = train(make_config(data_root, tmp_path / "whole"), tmp_path / "whole", None)
+    cut = make_config(data_root, tmp_path / "cut", "trainer.max_steps=4")
+    train(cut, tmp_path / "cut", None)
+    resumed = make_config(data_root, tmp_path / "cut")
+    train(resumed, tmp_path / "cut", find_resume("auto", tmp_path / "cut"))
+    expected, got = weights(whole), weights(tmp_path / "cut" / "last.ckpt")
+    assert expected.keys() == got.keys()
+    for name, value in expected.items():
+        assert torch.equal(value, got[name]), name
+
+
+def test_the_run_leaves_what_it_promises(data_root: Path, tmp_path: Path) -> None:
+    last = train(make_config(data_root, tmp_path, "description=a test"), tmp_path, None)
+    assert last == tmp_path / "last.ckpt" and (tmp_path / "best.ckpt").is_file()
+    checkpoint = load_checkpoint(last)
+    assert checkpoint.data["families"]["cube_drop"]["count"] == 3
+    assert checkpoint.provenance["description"] == "a test" and checkpoint.provenance["steps"] == 6
+    assert checkpoint.provenance["config"]["model"]["latent_size"] == 8
+    assert len(checkpoint.provenance["manifest_sha256"]) == 64
+    with (tmp_path / "csv" / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    losses = [float(row["loss"]) for row in rows if row["loss"]]
+    errors = [float(row["valid/position_error"]) for row in rows if row.get("valid/position_error")]
+    assert len(losses) >= 3 and all(math.isfinite(value) for value in losses)
+    assert len(errors) == 2
+
+
+def test_it_learns(data_root: Path, tmp_path: Path) -> None:
+    """Without noise a small network fits three short trajectories well below the loss of predicting nothing."""
+    changes = ["training.optimisation.num_steps=150", "training.optimisation.warmup_steps=5", "training.noise_std=0.0"]
+    changes += ["training.strain_std=0.0", "training.huber_delta=null", "callbacks.average.decay=0.9"]
+    changes += ["model.latent_size=16", "trainer.val_check_interval=150"]
+    train(make_config(data_root, tmp_path, *changes), tmp_path, None)
+    with (tmp_path / "csv" / "metrics.csv").open() as file:
+        losses = [float(row["loss"]) for row in csv.DictReader(file) if row["loss"]]
+    assert sum(losses[-30:]) / 30 < 0.35 * sum(losses[:5]) / 5
+
+
+def test_resuming_with_other_settings_is_refused(data_root: Path, tmp_path: Path) -> None:
+    last = train(make_config(data_root, tmp_path, "trainer.max_steps=2"), tmp_path, None)
+    before = last.read_bytes()
+    other = make_config(data_root, tmp_path, "model.latent_size=4")
+    with pytest.raises(InputError, match=r"other settings \(model differs\)"):
+        train(other, tmp_path, last)
+    assert last.read_bytes() == before
+
+
+def test_more_trajectories_than_there_are(data_root: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="2 training trajectories"):
+        train(make_config(data_root, tmp_path, "training.num_train=5"), tmp_path, None)
+
+
+def test_find_resume(tmp_path: Path) -> None:
+    assert find_resume(None, tmp_path) is None
+    assert find_resume("auto", tmp_path) is None
+    (tmp_path / "last.ckpt").touch()
+    assert find_resume("auto", tmp_path) == tmp_path / "last.ckpt"
+    with pytest.raises(InputError, match="no such checkpoint"):
+        find_resume(str(tmp_path / "other.ckpt"), tmp_path)
+
+
+def test_learning_rate() -> None:
+    settings = {"warmup_steps": 10, "num_steps": 110, "final_factor": 0.1}
+    assert learning_rate_factor(0, **settings) == pytest.approx(0.1)
+    assert learning_rate_factor(9, **settings) == learning_rate_factor(10, **settings) == 1.0
+    assert learning_rate_factor(60, **settings) == pytest.approx(0.55)
+    assert learning_rate_factor(110, **settings) == learning_rate_factor(500, **settings) == pytest.approx(0.1)
+
+
+def test_statistics_are_root_mean_squares_with_gravity_and_noise() -> None:
+    class Manifest:
+        dt = 0.1
+        statistics = {
+            "velocity": {"mean": [3.0, 0.0], "std": [0.0, 4.0]},
+            "acceleration": {"mean": [0.0, -10.0], "std": [1.0, 0.0]},
+        }
+
+    plain = statistics(Manifest(), 9.0, 0.0)  # type: ignore[arg-type]
+    assert plain == pytest.approx({"velocity": math.sqrt(12.5), "acceleration": 1.0})
+    noisy = statistics(Manifest(), 9.0, 0.2)  # type: ignore[arg-type]
+    assert noisy == pytest.approx({"velocity": math.sqrt(12.5 + 4), "acceleration": math.sqrt(1 + 400)})
