@@ -4,9 +4,12 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.errors import told_plainly
+
+# Names a sweep's folders by what is overridden, cut where file systems would refuse.
+OmegaConf.register_new_resolver("shortened", lambda text: str(text)[:120])
 
 
 @hydra.main(version_base=None, config_path="conf", config_name="train")

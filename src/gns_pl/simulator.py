@@ -38,7 +38,7 @@ class SimulatorConfig:
         num_message_passing_steps: number of interaction networks.
         output: "acceleration": the network gives (a − g) / scale. "gated": it gives a gate s in (0, 1) per axis and an
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
-        context: node features that look beyond the radius: overburden and far walls (`graph.overburden`).
+        context: node features beyond the radius: overburden, solid fraction, far walls (`graph.context`).
         neighbours: backend of `radius_graph`.
 
     Raises:
@@ -198,7 +198,8 @@ class Simulator(nn.Module):
     def integrate(self, history: Tensor, normalised: Tensor, static: Static) -> Tensor:
         """Return the next position by semi-implicit Euler: v' = v + a Δt, x' = x + v' Δt [N, D] [m].
 
-        Kinematic particles stay where they are; whoever unrolls the simulator moves them along their script.
+        The walls are rigid, so a particle that would leave the box is put onto its face. Kinematic particles stay
+        where they are; whoever unrolls the simulator moves them along their script.
 
         Args:
             history: [N, H, D] [m].
@@ -207,7 +208,9 @@ class Simulator(nn.Module):
         """
         acceleration = normalised * self.acceleration_scale + static.gravity[static.batch]
         velocity = (history[:, -1] - history[:, -2]) / self.config.dt + acceleration * self.config.dt
-        return torch.where(static.moved[:, None], history[:, -1] + velocity * self.config.dt, history[:, -1])
+        position = history[:, -1] + velocity * self.config.dt
+        position = torch.clamp(position, static.lower[static.batch], static.upper[static.batch])
+        return torch.where(static.moved[:, None], position, history[:, -1])
 
     def forward(self, history: Tensor, static: Static) -> Tensor:
         """Return the positions one step later [N, D] [m].

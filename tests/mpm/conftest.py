@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gns_pl.mpm import MPMConfig
 from gns_pl.mpm.constitutive import material_row
+from gns_pl.mpm.shape import WALL_REACH
 from gns_pl.scene import FACES, Body, Material, Scene, Wall
 from gns_pl.trajectory import Trajectory
 
@@ -78,7 +79,7 @@ def energy(trajectory: Trajectory) -> NDArray[np.float64]:
     mass, gravity = trajectory.mass.astype(np.float64), np.array(trajectory.scene.gravity)
     kinetic = 0.5 * (mass[:, None] * trajectory.velocity() ** 2).sum(axis=(1, 2))
     potential: NDArray[np.float64] = -(trajectory.position @ gravity) @ mass
-    return kinetic + potential
+    return np.asarray(kinetic + potential)
 
 
 def swelling(trajectory: Trajectory, bin_size: float = 1 / 12) -> float:
@@ -112,6 +113,13 @@ class Points:
     cell: tuple[float, float, float]
     grid: NDArray[np.float64]
     gap: NDArray[np.float64]
+
+    @property
+    def acting(self) -> NDArray[np.float64]:
+        """[N, 3] [m], where the points act on the grid: no nearer to a wall than `WALL_REACH`."""
+        lowest = np.where(np.array(self.cells) > 0, WALL_REACH, 0.0)
+        inside = np.clip(self.position, lowest, np.array(self.cells) - lowest)
+        return np.asarray(inside * np.array(self.cell))
 
     @property
     def index(self) -> NDArray[np.int64]:

@@ -34,7 +34,7 @@ def step(
 
 def tensor(stress: NDArray[np.float64]) -> NDArray[np.float64]:
     xx, yy, zz, xy, yz, zx, pressure = stress
-    return np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]) - pressure * np.eye(3)
+    return np.asarray(np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]) - pressure * np.eye(3))
 
 
 def root_j2(stress: NDArray[np.float64]) -> float:

@@ -3,18 +3,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gns_pl.mpm.shape import axis_shape
+from gns_pl.mpm.shape import WALL_REACH, approach_wall, axis_shape
 
 CELLS = (2, 3, 7)
 
 
 def shapes(num_cells: int) -> list[tuple[float, np.ndarray, np.ndarray, np.ndarray, float]]:
-    """Position, nodes, weights, gradients and second moment at many places, walls and knots among them."""
+    """Place of action, nodes, weights, gradients and second moment for points everywhere, at walls and knots too."""
     places = np.concatenate([np.linspace(0, num_cells, 201), np.arange(num_cells + 1), np.arange(num_cells) + 0.5])
     found = []
     for x in places:
         base, *values, moment = axis_shape(float(x), num_cells)
-        found.append((float(x), base + np.arange(3), np.array(values[:3]), np.array(values[3:]), moment))
+        acting = min(max(float(x), WALL_REACH), num_cells - WALL_REACH)
+        found.append((acting, base + np.arange(3), np.array(values[:3]), np.array(values[3:]), moment))
     return found
 
 
@@ -52,9 +53,28 @@ def test_weights_and_gradients_have_no_jumps(num_cells: int) -> None:
     assert np.abs(np.diff(dense, axis=0)).max() < 10 * num_cells / 4000
 
 
-def test_a_point_on_a_wall_moves_with_the_wall() -> None:
-    assert axis_shape(0.0, 5)[:4] == (0, 1.0, 0.0, 0.0)
-    assert axis_shape(5.0, 5)[:4] == (3, 0.0, 0.0, 1.0)
+@pytest.mark.parametrize("num_cells", CELLS)
+def test_no_gradient_is_steeper_for_its_weight_than_in_the_interior(num_cells: int) -> None:
+    for _, _, weights, gradients, _ in shapes(num_cells):
+        assert (np.abs(gradients) <= 6 * weights + 1e-12).all()
+
+
+def test_half_a_cell_from_a_wall_the_splines_become_hats() -> None:
+    assert axis_shape(0.3, 5) == pytest.approx((0, 0.7, 0.3, 0.0, -1.0, 1.0, 0.0, 0.21))
+    assert axis_shape(4.7, 5) == pytest.approx((3, 0.0, 0.3, 0.7, 0.0, -1.0, 1.0, 0.21))
+
+
+@pytest.mark.parametrize("start", [0.01, 0.1, 0.3])
+def test_a_point_comes_to_a_wall_but_never_through(start: float) -> None:
+    """The nodes at the wall rest, the inner ones rush towards it at half a cell a step."""
+    low, high = start, 5 - start
+    for _ in range(20):
+        low = approach_wall(low, -0.5 * max(low, WALL_REACH), 5)
+        high = approach_wall(high, 0.5 * max(5 - high, WALL_REACH), 5)
+        assert low > 0
+        assert high < 5
+    assert low < start * 0.6
+    assert approach_wall(0.01, 0.2, 5) == pytest.approx(0.21)  # nothing keeps it from leaving
 
 
 def test_the_interior_is_the_quadratic_b_spline() -> None:

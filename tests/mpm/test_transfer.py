@@ -42,7 +42,7 @@ def moment(points: Points) -> NDArray[np.float64]:
         second = np.zeros(3)
         for axis in (0, 2) if points.dim == 2 else (0, 1, 2):
             second[axis] = axis_shape(points.position[p, axis], points.cells[axis])[-1] * size[axis] ** 2
-        place = points.position[p] * size
+        place = points.acting[p]
         total += mass * (np.outer(place, points.velocity[p]) + np.diag(second) @ points.affine[p].reshape(3, 3).T)
     return total
 
@@ -100,7 +100,7 @@ def test_linear_velocity_fields_survive_the_way_to_the_grid_and_back(dim: int) -
     gradient = np.random.default_rng(1).normal(size=(3, 3))
     if dim == 2:
         gradient[1], gradient[:, 1] = 0, 0
-    points.velocity[:] = (points.position * np.array(points.cell)) @ gradient.T
+    points.velocity[:] = points.acting @ gradient.T
     points.affine[:] = gradient.ravel()
     expected = points.velocity.copy()
     to_grid(points)

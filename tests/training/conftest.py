@@ -34,6 +34,7 @@ TINY = [
     "training.optimisation.warmup_steps=2",
     "trainer.val_check_interval=3",
     "trainer.enable_progress_bar=false",
+    "~callbacks.progress",
     "trainer.log_every_n_steps=1",
     "callbacks.last.every_n_steps=2",
 ]

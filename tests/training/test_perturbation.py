@@ -15,7 +15,7 @@ def make(**changes: float) -> Perturbation:
 
 def history_and_next() -> tuple[torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(0)
-    whole = torch.rand(40, 1, 3, generator=generator) + torch.rand(40, 5, 3, generator=generator) * 0.01
+    whole = 0.2 + 0.6 * torch.rand(40, 1, 3, generator=generator) + torch.rand(40, 5, 3, generator=generator) * 0.01
     return whole[:, :-1], whole[:, -1]
 
 

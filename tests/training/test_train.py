@@ -57,7 +57,7 @@ def test_the_run_leaves_what_it_promises(data_root: Path, tmp_path: Path) -> Non
 def test_it_learns(data_root: Path, tmp_path: Path) -> None:
     """Without noise a small network fits three short trajectories well below the loss of predicting nothing."""
     changes = ["training.optimisation.num_steps=150", "training.optimisation.warmup_steps=5", "training.noise_std=0.0"]
-    changes += ["training.strain_std=0.0", "training.huber_delta=null", "callbacks.average.decay=0.9"]
+    changes += ["training.strain_std=0.0", "training.optimisation.huber_delta=null", "callbacks.average.decay=0.9"]
     changes += ["model.latent_size=16", "trainer.val_check_interval=150"]
     train(make_config(data_root, tmp_path, *changes), tmp_path, None)
     with (tmp_path / "csv" / "metrics.csv").open() as file:

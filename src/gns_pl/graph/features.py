@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.fields import ParticleType
-from gns_pl.graph.overburden import overburden
+from gns_pl.graph.context import context_fields
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def node_width(
     """Return F of `node_features`."""
     types = num_particle_types if num_particle_types > 1 else 0
     walls = 2 * dim * (2 if context else 1)
-    return (input_sequence_length - 1) * dim + walls + int(context) + types + num_material_features
+    return (input_sequence_length - 1) * dim + walls + 2 * int(context) + types + num_material_features
 
 
 def node_features(
@@ -81,7 +81,7 @@ def node_features(
         radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
         particle_types: the types that occur; coded one-hot if there are several.
         material_scale: [2, K] mean and standard deviation of the material features.
-        context: add the overburden and the distances to the walls within `REACH` radii.
+        context: add the distances to the walls within `REACH` radii, the overburden and the solid fraction.
         volume: volume of a particle [m^D].
 
     Returns:
@@ -92,8 +92,10 @@ def node_features(
     walls = torch.cat([to_lower, to_upper], dim=1) / radius
     parts = [(velocity / velocity_scale).flatten(1), walls.clamp(-1, 1)]
     if context:
-        thickness = overburden(position, static.lower, static.upper, static.batch, cell=radius, volume=volume)
-        parts += [(walls / REACH).clamp(-1, 1), thickness[:, None] / (REACH * radius)]
+        thickness, fraction = context_fields(
+            position, static.lower, static.upper, static.batch, cell=radius, volume=volume
+        )
+        parts += [(walls / REACH).clamp(-1, 1), thickness[:, None] / (REACH * radius), 2 * fraction[:, None]]
     if len(particle_types) > 1:
         known = torch.tensor(particle_types, device=position.device)
         parts.append((static.particle_type[:, None] == known).to(position.dtype))

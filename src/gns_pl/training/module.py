@@ -18,7 +18,11 @@ from gns_pl.graph import Static
 from gns_pl.rollout import rollout
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.training.perturbation import Perturbation
+from gns_pl.training.symmetry import sample_symmetry
 from gns_pl.trajectory import Trajectory
+
+MONITORED = "position_error"
+"""The error of validation rollouts that the progress bar shows and the best checkpoint is chosen by."""
 
 
 def static_of_batch(batch: Data) -> Static:
@@ -47,7 +51,8 @@ class SimulatorModule(LightningModule):
     Args:
         model: `SimulatorConfig` as a dict.
         data: specification of the data, stored in the checkpoint.
-        optimisation: learning_rate, final_factor, weight_decay, warmup_steps, num_steps, huber_delta.
+        optimisation: learning_rate, final_factor, weight_decay, warmup_steps, num_steps, huber_delta,
+            symmetry.
         perturbation: `Perturbation` as a dict.
         seed: of the noise.
         provenance: stored in the checkpoint.
@@ -84,7 +89,10 @@ class SimulatorModule(LightningModule):
         # The noise depends on the seed and the step alone: a resumed run draws what an uninterrupted one would.
         seed = (self.seed * 1_000_003 + self.global_step) * 1_009 + self.global_rank
         generator = torch.Generator(device=self.device).manual_seed(seed)
-        history, goal = self.perturb(batch.position[:, :-1], batch.position[:, -1], static, generator)
+        history, goal = batch.position[:, :-1], batch.position[:, -1]
+        if self.optimisation["symmetry"]:
+            history, goal, static = sample_symmetry(history, goal, static, generator)
+        history, goal = self.perturb(history, goal, static, generator)
         predicted = self.simulator.normalised_acceleration(history, static)
         target = self.simulator.target(history, goal, static)
         predicted, target = predicted[static.moved], target[static.moved]
@@ -106,7 +114,9 @@ class SimulatorModule(LightningModule):
         """Roll a whole validation trajectory out from its first frame and log its errors."""
         predicted = rollout(self.simulator, reference, reference.num_frames - 1)
         for name, value in rollout_errors(predicted, reference).items():
-            self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == "position_error")
+            if math.isnan(value) and name != MONITORED:
+                continue  # not defined for this scene, or the rollout failed, which the monitored error shows
+            self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED)
 
     def on_validation_epoch_end(self) -> None:
         """Leave the time of the rollouts out of the pace."""

@@ -18,7 +18,7 @@ class Perturbation:
     Attributes:
         noise_std: of the latest velocity's random-walk noise times Δt [m].
         noise_free: share of the windows that stay as they are.
-        strain_std: standard deviation of the strain of the coherent noise [1]; 0 for none.
+        strain_std: largest standard deviation of the strain of the coherent noise, from 0 on uniform [1].
         strain_length: its correlation length [m].
         restore: share κ of the position error that the target undoes in one step. 0 is the correction of
             Sanchez-Gonzalez et al. (2020), after which the velocity is right and the position error stays.
@@ -70,5 +70,7 @@ class Perturbation:
                 length=self.strain_length,
                 generator=generator,
             )
-            noise = noise + level * moved[:, None, :]
+            # Every scene at a level of its own, so that small and large errors are both seen.
+            share = torch.rand(graphs, generator=generator, device=history.device)[static.batch]
+            noise = noise + level * (share[:, None] * moved)[:, None, :]
         return history + noise, next_position + (1 - self.restore) * noise[:, -1]

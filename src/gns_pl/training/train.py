@@ -95,7 +95,7 @@ def build(cfg: DictConfig, data: dict[str, Any], directory: Path) -> tuple[Simul
             "material_features": list(manifest.material_features),
         },
         data=data,
-        optimisation={**training["optimisation"], "huber_delta": training["huber_delta"]},
+        optimisation=training["optimisation"],
         perturbation=perturbation,
         seed=cfg.seed,
         provenance=provenance(cfg, directory),
@@ -139,7 +139,13 @@ def material_scale(datamodule: TrajectoryDataModule) -> torch.Tensor:
 def quieten() -> None:
     """Keep Lightning's advertisements, and warnings that tell a user nothing, off the terminal."""
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
-    for message in (".*exists and is not empty", ".*does not have many workers", ".*LeafSpec.*", ".*weights_only.*"):
+    for message in (
+        ".*exists and is not empty",
+        ".*does not have many workers",
+        ".*LeafSpec.*",
+        ".*weights_only.*",
+        ".*not resumable.*",
+    ):
         warnings.filterwarnings("ignore", message)
     warnings.filterwarnings("ignore", category=DeprecationWarning)
 

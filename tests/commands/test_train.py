@@ -1,0 +1,61 @@
+"""python train.py as a user types it, in a folder of his own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gns_pl.checkpoint import load_checkpoint
+from tests.training.conftest import TINY
+
+ROOT = Path(__file__).parents[2]
+ONE_FAMILY = ["data.families.cube_drop.count=3", "data.families.cube_drop.duration=0.2", "data.families.cube_drop.valid=1"]
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "train.py"), *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+
+
+def tiny(*more: str) -> list[str]:
+    import yaml
+
+    families = yaml.safe_load((ROOT / "conf/data/quickstart.yaml").read_text())["families"]
+    others = [f"~data.families.{name}" for name in families if name != "cube_drop"]
+    return [*TINY, *ONE_FAMILY, "data.families.cube_drop.test=0", *others, *more]
+
+
+def test_train_again_and_sweep(tmp_path: Path) -> None:
+    first = run(tmp_path, *tiny())
+    assert first.returncode == 0, first.stderr
+    last = tmp_path / "runs/quickstart/last.ckpt"
+    assert "evaluate.py ckpt=" in first.stdout and load_checkpoint(last).provenance["steps"] == 6
+    assert list((last.parent / "wandb").glob("offline-run-*")) and (last.parent / "csv/metrics.csv").is_file()
+    before = last.read_bytes()
+
+    again = run(tmp_path, *tiny())  # trained already: nothing is redone or lost
+    assert again.returncode == 0, again.stderr
+    assert last.read_bytes() == before
+
+    changed = run(tmp_path, *tiny("training.noise_std=0.1"))
+    assert changed.returncode == 2 and "perturbation differs" in changed.stderr and "Traceback" not in changed.stderr
+
+    sweep = run(tmp_path, "-m", *tiny("model.num_message_passing_steps=1,2", "hydra.sweep.dir=runs/sweep"))
+    assert sweep.returncode == 0, sweep.stderr
+    jobs = sorted((tmp_path / "runs/sweep").glob("*/last.ckpt"))
+    assert [load_checkpoint(job).simulator.config.num_message_passing_steps for job in jobs] == [1, 2]
+    assert all(len(list((job.parent / "wandb").glob("offline-run-*"))) == 1 for job in jobs)
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [("resume=nowhere.ckpt", "no such checkpoint"), ("training.noise_std=-1", "noise_std must not be negative")],
+)
+def test_bad_input_is_one_sentence(tmp_path: Path, argument: str, sentence: str) -> None:
+    result = run(tmp_path, *tiny(argument, "~logger.wandb"))
+    assert result.returncode == 2
+    assert result.stderr.strip().splitlines()[-1].startswith("train.py: ") and sentence in result.stderr
+    assert "Traceback" not in result.stderr
