@@ -38,7 +38,7 @@ class SimulatorConfig:
         num_message_passing_steps: number of interaction networks.
         output: "acceleration": the network gives (a − g) / scale. "gated": it gives a gate s in (0, 1) per axis and an
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
-        context: node features beyond the radius: overburden, solid fraction, far walls (`graph.context`).
+        context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
 
     Raises:
@@ -198,8 +198,9 @@ class Simulator(nn.Module):
     def integrate(self, history: Tensor, normalised: Tensor, static: Static) -> Tensor:
         """Return the next position by semi-implicit Euler: v' = v + a Δt, x' = x + v' Δt [N, D] [m].
 
-        The walls are rigid, so a particle that would leave the box is put onto its face. Kinematic particles stay
-        where they are; whoever unrolls the simulator moves them along their script.
+        The walls are rigid, so a particle that would leave the box is put onto its face; one that would cross the
+        whole box in a step becomes NaN, so that walls never hide an explosion. Kinematic particles stay where they
+        are; whoever unrolls the simulator moves them along their script.
 
         Args:
             history: [N, H, D] [m].
@@ -208,8 +209,10 @@ class Simulator(nn.Module):
         """
         acceleration = normalised * self.acceleration_scale + static.gravity[static.batch]
         velocity = (history[:, -1] - history[:, -2]) / self.config.dt + acceleration * self.config.dt
-        position = history[:, -1] + velocity * self.config.dt
-        position = torch.clamp(position, static.lower[static.batch], static.upper[static.batch])
+        step = velocity * self.config.dt
+        lower, upper = static.lower[static.batch], static.upper[static.batch]
+        position = torch.clamp(history[:, -1] + step, lower, upper)
+        position = torch.where(step.abs() > upper - lower, torch.nan, position)
         return torch.where(static.moved[:, None], position, history[:, -1])
 
     def forward(self, history: Tensor, static: Static) -> Tensor:

@@ -12,7 +12,7 @@ from gns_pl.checkpoint import load_checkpoint
 from tests.training.conftest import TINY
 
 ROOT = Path(__file__).parents[2]
-ONE_FAMILY = ["data.families.cube_drop.count=3", "data.families.cube_drop.duration=0.2", "data.families.cube_drop.valid=1"]
+ONE_FAMILY = [f"data.families.cube_drop.{setting}" for setting in ("count=3", "duration=0.2", "valid=1", "test=0")]
 
 
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -25,7 +25,7 @@ def tiny(*more: str) -> list[str]:
 
     families = yaml.safe_load((ROOT / "conf/data/quickstart.yaml").read_text())["families"]
     others = [f"~data.families.{name}" for name in families if name != "cube_drop"]
-    return [*TINY, *ONE_FAMILY, "data.families.cube_drop.test=0", *others, *more]
+    return [*TINY, *ONE_FAMILY, *others, *more]
 
 
 def test_train_again_and_sweep(tmp_path: Path) -> None:

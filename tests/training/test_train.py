@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -97,14 +98,14 @@ def test_learning_rate() -> None:
 
 
 def test_statistics_are_root_mean_squares_with_gravity_and_noise() -> None:
-    class Manifest:
-        dt = 0.1
-        statistics = {
+    manifest = SimpleNamespace(
+        dt=0.1,
+        statistics={
             "velocity": {"mean": [3.0, 0.0], "std": [0.0, 4.0]},
             "acceleration": {"mean": [0.0, -10.0], "std": [1.0, 0.0]},
-        }
-
-    plain = statistics(Manifest(), 9.0, 0.0)  # type: ignore[arg-type]
+        },
+    )
+    plain = statistics(manifest, 9.0, 0.0)  # type: ignore[arg-type]
     assert plain == pytest.approx({"velocity": math.sqrt(12.5), "acceleration": 1.0})
-    noisy = statistics(Manifest(), 9.0, 0.2)  # type: ignore[arg-type]
+    noisy = statistics(manifest, 9.0, 0.2)  # type: ignore[arg-type]
     assert noisy == pytest.approx({"velocity": math.sqrt(12.5 + 4), "acceleration": math.sqrt(1 + 400)})

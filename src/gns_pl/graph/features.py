@@ -47,7 +47,8 @@ class Static:
 
 
 REACH = 4.0
-"""Context features look this many connectivity radii far."""
+"""The distance to the floor is cut at this many connectivity radii where context is wanted. Only the floor's: a far
+side wall would be one more thing that a narrower or wider box than those of the data shows in a new way."""
 
 
 def node_width(
@@ -55,8 +56,7 @@ def node_width(
 ) -> int:
     """Return F of `node_features`."""
     types = num_particle_types if num_particle_types > 1 else 0
-    walls = 2 * dim * (2 if context else 1)
-    return (input_sequence_length - 1) * dim + walls + 2 * int(context) + types + num_material_features
+    return (input_sequence_length - 1) * dim + 2 * dim + 3 * int(context) + types + num_material_features
 
 
 def node_features(
@@ -81,7 +81,7 @@ def node_features(
         radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
         particle_types: the types that occur; coded one-hot if there are several.
         material_scale: [2, K] mean and standard deviation of the material features.
-        context: add the distances to the walls within `REACH` radii, the overburden and the solid fraction.
+        context: add the distance to the floor within `REACH` radii, the overburden and the solid fraction.
         volume: volume of a particle [m^D].
 
     Returns:
@@ -95,7 +95,8 @@ def node_features(
         thickness, fraction = context_fields(
             position, static.lower, static.upper, static.batch, cell=radius, volume=volume
         )
-        parts += [(walls / REACH).clamp(-1, 1), thickness[:, None] / (REACH * radius), 2 * fraction[:, None]]
+        floor = (to_lower[:, -1] / (REACH * radius)).clamp(-1, 1)
+        parts.append(torch.stack([floor, thickness / (REACH * radius), 2 * fraction], dim=1))
     if len(particle_types) > 1:
         known = torch.tensor(particle_types, device=position.device)
         parts.append((static.particle_type[:, None] == known).to(position.dtype))

@@ -49,10 +49,9 @@ def radius_graph(
     if batch is None or num_graphs == 1:
         return _single(detached, radius, backend)
     counts = torch.bincount(batch, minlength=num_graphs).tolist()
-    offsets = [0, *itertools.accumulate(counts)]
-    graphs = [
-        _single(part, radius, backend) + offset for part, offset in zip(detached.split(counts), offsets, strict=False)
-    ]
+    offsets = itertools.accumulate([0, *counts[:-1]])
+    parts = torch.split(detached, counts)
+    graphs = [_single(part, radius, backend) + offset for part, offset in zip(parts, offsets, strict=True)]
     return torch.cat(graphs, dim=1)
 
 

@@ -54,9 +54,11 @@ def coherent_noise(
         [N, D] [m].
     """
     modes, dim = 4, position.shape[1]
-    like = {"generator": generator, "device": position.device, "dtype": position.dtype}
-    wave = torch.randn((num_graphs, modes, dim), **like) / length
-    phase = 2 * torch.pi * torch.rand((num_graphs, modes), **like)
-    amplitude = torch.randn((num_graphs, modes, dim), **like) * strain_std * length * (2 / modes) ** 0.5
+    device, dtype = position.device, position.dtype
+    wave = torch.randn((num_graphs, modes, dim), generator=generator, device=device, dtype=dtype) / length
+    phase = 2 * torch.pi * torch.rand((num_graphs, modes), generator=generator, device=device, dtype=dtype)
+    amplitude = torch.randn((num_graphs, modes, dim), generator=generator, device=device, dtype=dtype)
+    amplitude = amplitude * (strain_std * length * (2 / modes) ** 0.5)
     angle = (position[:, None, :] * wave[batch]).sum(dim=2) + phase[batch]
-    return (angle.sin()[:, :, None] * amplitude[batch]).sum(dim=1)
+    field: Tensor = (angle.sin()[:, :, None] * amplitude[batch]).sum(dim=1)
+    return field

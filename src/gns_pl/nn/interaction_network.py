@@ -33,8 +33,8 @@ class InteractionNetwork(MessagePassing):  # type: ignore[misc]
         self.node_mlp = mlp(2 * latent_size, latent_size, num_mlp_layers, latent_size, norm=True)
         # Together the three parts start as one layer of three times the width would.
         with torch.no_grad():
-            for part in (self.sender, self.receiver, self.edge_mlp[0]):
-                part.weight.mul_(3**-0.5)
+            for weight in (self.sender.weight, self.receiver.weight, self.edge_mlp.get_parameter("0.weight")):
+                weight.mul_(3**-0.5)
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> tuple[Tensor, Tensor]:
         """Return the new node [N, L] and edge states [E, L].
