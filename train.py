@@ -1,5 +1,6 @@
 """python train.py +experiment=NAME [key=value …]: generate the data where missing, train a simulator on them."""
 
+import re
 from pathlib import Path
 
 import hydra
@@ -8,8 +9,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.errors import told_plainly
 
-# Names a sweep's folders by what is overridden, cut where file systems would refuse.
-OmegaConf.register_new_resolver("shortened", lambda text: str(text)[:120])
+# Names a sweep's folders by what is overridden, in characters and at a length that paths and `ckpt=…` can take.
+OmegaConf.register_new_resolver("shortened", lambda text: re.sub(r"[^\w.+-]+", "_", str(text))[:120])
 
 
 @hydra.main(version_base=None, config_path="conf", config_name="train")

@@ -12,6 +12,8 @@ from gns_pl.scene.definition import FACES
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, start_trajectory
 
+torch.set_num_threads(1)  # the tensors are small, and the machine may be busy
+
 SAND = Material(density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30, cohesion=100)
 
 
@@ -76,6 +78,7 @@ def make_static(number: int, *, graphs: int = 1, gravity: tuple[float, ...] = (0
     return Static(
         particle_type=torch.full((number * graphs,), 6),
         material=torch.full((number * graphs, 1), 0.577),
+        volume=torch.full((number * graphs,), 1e-3),
         lower=torch.zeros(graphs, dim),
         upper=torch.ones(graphs, dim),
         gravity=torch.tensor([gravity] * graphs),

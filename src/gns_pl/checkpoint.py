@@ -16,6 +16,7 @@ from typing import Any
 import torch
 
 from gns_pl.errors import InputError
+from gns_pl.io import atomic_path
 from gns_pl.simulator import Simulator, SimulatorConfig
 
 KEY = "gns_pl"
@@ -49,17 +50,18 @@ def checkpoint_entry(config: SimulatorConfig, data: Mapping[str, Any], provenanc
 
 
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint without trainer state: weights, statistics, config, data, provenance."""
+    """Write a checkpoint without trainer state, whole or not at all: weights, statistics, config, data, provenance."""
     weights = {PREFIX + name: value for name, value in checkpoint.simulator.state_dict().items()}
     entry = checkpoint_entry(checkpoint.simulator.config, checkpoint.data, checkpoint.provenance)
-    torch.save({"state_dict": weights, KEY: entry}, path)
+    with atomic_path(path) as temporary:
+        torch.save({"state_dict": weights, KEY: entry}, temporary)
 
 
-def load_checkpoint(path: str | Path) -> Checkpoint:
-    """Read a checkpoint, from the trainer or from `save_checkpoint`, under `weights_only=True`.
+def read_content(path: str | Path) -> dict[str, Any]:
+    """Read everything a checkpoint file holds, trainer state included, under `weights_only=True`.
 
     Raises:
-        InputError: no such file, not one of our checkpoints, or one of a newer format; the file is named.
+        InputError: no such file, or not one of our checkpoints; the file is named.
     """
     path = Path(path)
     if not path.is_file():
@@ -68,8 +70,19 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, zipfile.BadZipFile, RuntimeError, EOFError, OSError, ValueError) as error:
         raise InputError(f"{path}: is not a readable checkpoint, or was cut off while written.") from error
-    if not isinstance(content, dict) or KEY not in content or "state_dict" not in content:
+    entry = content.get(KEY) if isinstance(content, dict) else None
+    if not isinstance(entry, dict) or "format_version" not in entry or "state_dict" not in content:
         raise InputError(f"{path}: is not a checkpoint of gns_pl (it has no entry {KEY!r}).")
+    return dict(content)
+
+
+def load_checkpoint(path: str | Path) -> Checkpoint:
+    """Read a checkpoint, from the trainer or from `save_checkpoint`, under `weights_only=True`.
+
+    Raises:
+        InputError: no such file, not one of our checkpoints, or one of a newer format; the file is named.
+    """
+    content = read_content(path)
     entry = content[KEY]
     if entry["format_version"] > FORMAT_VERSION:
         raise InputError(

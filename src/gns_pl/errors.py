@@ -16,16 +16,16 @@ class InputError(ValueError):
 
 @contextmanager
 def told_plainly(door: str) -> Iterator[None]:
-    """Turn an `InputError` raised inside into one line on stderr and exit status 2.
+    """Turn an `InputError`, or a file that may not be touched, into one line on stderr and exit status 2.
 
     Args:
         door: name of the command, printed before the sentence.
 
     Raises:
-        SystemExit: status 2 after an `InputError`; other exceptions pass through with their traceback.
+        SystemExit: status 2 after one of these; other exceptions pass through with their traceback.
     """
     try:
         yield
-    except InputError as error:
+    except (InputError, PermissionError) as error:
         print(f"{door}: {error}", file=sys.stderr)
         raise SystemExit(2) from error

@@ -30,7 +30,7 @@ class SimulatorConfig:
         dt: time of one step [s].
         spacing: particle spacing of the data [m]; scenes are filled at it.
         particle_types: the types that occur in the data.
-        material_features: names of the K material features.
+        material_features: names of the K material features that are node inputs; may be none.
         connectivity_radius: R [m].
         input_sequence_length: H, positions in the history; H − 1 velocities go in.
         latent_size: width of the states.
@@ -173,7 +173,6 @@ class Simulator(nn.Module):
             particle_types=config.particle_types,
             material_scale=self.material_scale,
             context=config.context,
-            volume=config.spacing**config.dim,
         )
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = self.network(node, edge, edge_index)

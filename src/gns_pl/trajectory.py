@@ -72,6 +72,25 @@ class Trajectory:
         """Time of every frame [T] [s]."""
         return np.arange(self.num_frames, dtype=np.float64) * np.float64(self.dt)
 
+    def volume(self) -> NDArray[np.float32]:
+        """Volume that every particle stands for: its mass over the density of the body it starts in [N] [m^D].
+
+        Raises:
+            InputError: a particle that starts in no body, where the scene has several densities.
+        """
+        density = [self.scene.materials[body.material].density for body in self.scene.bodies]
+        if len(set(density)) == 1:
+            return np.asarray(self.mass / density[0], dtype=np.float32)
+        of_particle = np.full(self.num_particles, np.nan)
+        for body, value in zip(self.scene.bodies, density, strict=True):
+            start = self.position[0]
+            of_particle[((start >= body.position) & (start <= body.upper)).all(axis=1)] = value
+        if np.isnan(of_particle).any():
+            raise InputError(
+                f"scene {self.scene.name!r}: a particle starts outside every body, so its density is open."
+            )
+        return np.asarray(self.mass / of_particle, dtype=np.float32)
+
     def velocity(self) -> NDArray[np.float64]:
         """Backward differences (x_k − x_{k−1}) / dt, with the initial velocity in frame 0 [T, N, D] [m/s]."""
         backward = np.diff(self.position.astype(np.float64), axis=0) / self.dt

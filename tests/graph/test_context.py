@@ -17,7 +17,9 @@ def test_a_layer_has_the_depth_below_its_surface(dim: int) -> None:
     position = layer(dim, 0.6, 0.05)
     corners = torch.zeros(1, dim).double(), torch.ones(1, dim).double()
     batch = torch.zeros(len(position), dtype=torch.int64)
-    thickness, _ = context_fields(position, *corners, batch, cell=0.1, volume=0.05**dim)
+    thickness, _ = context_fields(
+        position, *corners, batch, cell=0.1, volume=torch.full((len(position),), 0.05**dim).double()
+    )
     inside = ((position[:, :-1] > 0.15) & (position[:, :-1] < 0.85)).all(dim=1) & (position[:, -1] < 0.45)
     depth = 0.6 - position[:, -1]
     assert (thickness - depth)[inside].abs().max() < 0.03
@@ -28,7 +30,7 @@ def test_total_is_conserved_and_boxes_are_apart() -> None:
     """Two boxes: what lies in one is not felt in the other; a lone particle feels half of itself at most."""
     position = torch.tensor([[0.5, 0.5, 0.1], [0.5, 0.5, 0.9], [0.5, 0.5, 0.1]])
     corners = torch.zeros(2, 3), torch.tensor([[1.0, 1.0, 1.0], [1.5, 0.5, 0.7]])
-    thickness, _ = context_fields(position, *corners, torch.tensor([0, 0, 1]), cell=0.1, volume=1e-3)
+    thickness, _ = context_fields(position, *corners, torch.tensor([0, 0, 1]), cell=0.1, volume=torch.tensor(1e-3))
     assert thickness[0] > thickness[2] > 0
     assert thickness[0] == pytest.approx(float(thickness[2]) + 0.1, abs=0.02)
 
@@ -41,7 +43,7 @@ def test_it_is_continuous_where_particles_cross_cells() -> None:
     for shift in (-1e-5, 1e-5):
         moved = base.clone()
         moved[:, 0] += 0.05 + shift  # lattice points at multiples of the cell
-        values += context_fields(moved, *corners, batch, cell=0.1, volume=1e-3)
+        values += context_fields(moved, *corners, batch, cell=0.1, volume=torch.tensor(1e-3))
     torch.testing.assert_close(values[0], values[2], atol=1e-4, rtol=0)
     torch.testing.assert_close(values[1], values[3], atol=1e-3, rtol=0)
 
@@ -49,7 +51,9 @@ def test_it_is_continuous_where_particles_cross_cells() -> None:
 def test_particles_outside_the_box_are_taken_to_its_edge() -> None:
     position = torch.tensor([[-0.2, 0.5, 0.5], [1.3, 0.5, 1.7]])
     corners = torch.zeros(1, 3), torch.ones(1, 3)
-    thickness, _ = context_fields(position, *corners, torch.zeros(2, dtype=torch.int64), cell=0.1, volume=1e-3)
+    thickness, _ = context_fields(
+        position, *corners, torch.zeros(2, dtype=torch.int64), cell=0.1, volume=torch.tensor(1e-3)
+    )
     assert torch.isfinite(thickness).all()
 
 
@@ -60,7 +64,7 @@ def test_a_sound_layer_has_solid_fraction_one_up_to_the_walls(dim: int, cell: fl
     position = layer(dim, 0.6, 0.02 if dim == 2 else 0.04)
     corners = torch.zeros(1, dim).double(), torch.ones(1, dim).double()
     batch = torch.zeros(len(position), dtype=torch.int64)
-    volume = (0.02 if dim == 2 else 0.04) ** dim
+    volume = torch.full((len(position),), (0.02 if dim == 2 else 0.04) ** dim).double()
     _, fraction = context_fields(position, *corners, batch, cell=cell, volume=volume)
     below = position[:, -1] < 0.45
     assert (fraction[below] - 1).abs().max() < 0.2 and fraction[below].mean() == pytest.approx(1, abs=0.03)

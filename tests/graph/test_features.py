@@ -22,7 +22,6 @@ def features(
         particle_types=types,
         material_scale=SCALE,
         context=context,
-        volume=1e-3,
     )
 
 

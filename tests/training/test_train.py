@@ -10,12 +10,18 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from gns_pl.checkpoint import load_checkpoint
+from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.training.module import learning_rate_factor
 from gns_pl.training.resume import find_resume
 from gns_pl.training.train import statistics, train
+from tests.conftest import make_simulator
 from tests.training.conftest import make_config
+
+
+def rows(output: Path) -> list[dict[str, str]]:
+    with next((output / "csv").glob("*/metrics.csv")).open() as file:
+        return list(csv.DictReader(file))
 
 
 def weights(path: Path) -> dict[str, torch.Tensor]:
@@ -47,10 +53,8 @@ def test_the_run_leaves_what_it_promises(data_root: Path, tmp_path: Path) -> Non
     assert checkpoint.provenance["description"] == "a test" and checkpoint.provenance["steps"] == 6
     assert checkpoint.provenance["config"]["model"]["latent_size"] == 8
     assert len(checkpoint.provenance["manifest_sha256"]) == 64
-    with (tmp_path / "csv" / "metrics.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    losses = [float(row["loss"]) for row in rows if row["loss"]]
-    errors = [float(row["valid/position_error"]) for row in rows if row.get("valid/position_error")]
+    losses = [float(row["loss"]) for row in rows(tmp_path) if row["loss"]]
+    errors = [float(row["valid/position_error"]) for row in rows(tmp_path) if row.get("valid/position_error")]
     assert len(losses) >= 3 and all(math.isfinite(value) for value in losses)
     assert len(errors) == 2
 
@@ -61,8 +65,7 @@ def test_it_learns(data_root: Path, tmp_path: Path) -> None:
     changes += ["training.strain_std=0.0", "training.optimisation.huber_delta=null", "callbacks.average.decay=0.9"]
     changes += ["model.latent_size=16", "trainer.val_check_interval=150"]
     train(make_config(data_root, tmp_path, *changes), tmp_path, None)
-    with (tmp_path / "csv" / "metrics.csv").open() as file:
-        losses = [float(row["loss"]) for row in csv.DictReader(file) if row["loss"]]
+    losses = [float(row["loss"]) for row in rows(tmp_path) if row["loss"]]
     assert sum(losses[-30:]) / 30 < 0.35 * sum(losses[:5]) / 5
 
 
@@ -70,9 +73,49 @@ def test_resuming_with_other_settings_is_refused(data_root: Path, tmp_path: Path
     last = train(make_config(data_root, tmp_path, "trainer.max_steps=2"), tmp_path, None)
     before = last.read_bytes()
     other = make_config(data_root, tmp_path, "model.latent_size=4")
-    with pytest.raises(InputError, match=r"other settings \(model differs\)"):
+    with pytest.raises(InputError, match=r"was made with model\.latent_size=8, not 4"):
         train(other, tmp_path, last)
     assert last.read_bytes() == before
+
+
+@pytest.mark.parametrize("change", ["training.batch_size=3", "callbacks.average.decay=0.5", "seed=1"])
+def test_whatever_decides_the_end_is_compared(data_root: Path, tmp_path: Path, change: str) -> None:
+    last = train(make_config(data_root, tmp_path, "trainer.max_steps=2"), tmp_path, None)
+    with pytest.raises(InputError, match=change.split("=")[0]):
+        train(make_config(data_root, tmp_path, change), tmp_path, last)
+
+
+def test_a_finished_run_is_left_as_it_is(data_root: Path, tmp_path: Path) -> None:
+    last = train(make_config(data_root, tmp_path), tmp_path, None)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert train(make_config(data_root, tmp_path), tmp_path, last) == last
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_a_checkpoint_that_cannot_be_resumed(data_root: Path, tmp_path: Path) -> None:
+    damaged, stepless = tmp_path / "damaged.ckpt", tmp_path / "stepless.ckpt"
+    damaged.write_bytes(b"not a checkpoint")
+    save_checkpoint(stepless, Checkpoint(make_simulator(), {}, {}))
+    for path, sentence in ((damaged, "not a readable checkpoint"), (stepless, "no state of a training")):
+        with pytest.raises(InputError, match=sentence):
+            train(make_config(data_root, tmp_path), tmp_path, path)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ("training.batch_size=0", "batch_size must be a whole number of at least 1"),
+        ("training.noise_std=abc", "noise_std must be a number"),
+        ("+training.noise_sdt=1", "unknown key noise_sdt"),
+        ("training.optimisation.huber_delta=-1", "huber_delta"),
+        ("model.output=magic", "output must be one of"),
+        ("trainer.devices=2", "one device"),
+    ],
+)
+def test_bad_settings_are_refused_before_anything_is_generated(tmp_path: Path, change: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        train(make_config(tmp_path / "data", tmp_path, change), tmp_path, None)
+    assert not (tmp_path / "data").exists()
 
 
 def test_more_trajectories_than_there_are(data_root: Path, tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ class TrajectoryDataModule(LightningDataModule):
 
     def setup(self, stage: str) -> None:
         """Open the files of the splits."""
-        if stage == "fit":
+        if stage == "fit" and not hasattr(self, "train_set"):
             self.train_set = WindowDataset(
                 [self.directory / name for name in self.train_names],
                 input_sequence_length=self.input_sequence_length,

@@ -16,7 +16,7 @@ from torch.utils.data import Dataset
 from torch_geometric.data import Data
 
 from gns_pl.errors import InputError
-from gns_pl.io import read_trajectory, read_window
+from gns_pl.io import read_header, read_trajectory, read_window
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 
@@ -49,10 +49,12 @@ class WindowDataset(Dataset[Data]):
         self._pre_history: list[NDArray[np.float32]] = []
         self.index: list[tuple[int, int]] = []
         for which, path in enumerate(self.paths):
-            trajectory = read_trajectory(path)
-            if trajectory.num_frames < 2:
-                raise InputError(f"{path}: has {trajectory.num_frames} frame; a window needs at least two.")
-            for frame in range(trajectory.num_frames - 1):
+            # Without memory for all frames only the first one is read here, which the pre-history needs.
+            num_frames = read_header(path).num_frames
+            trajectory = read_trajectory(path, num_frames=None if in_memory else 1)
+            if num_frames < 2:
+                raise InputError(f"{path}: has {num_frames} frame; a window needs at least two.")
+            for frame in range(num_frames - 1):
                 self.index += [(which, frame)] * (start_repeats if frame < input_sequence_length - 1 else 1)
             past = ballistic_history(
                 trajectory.position[0], trajectory.initial_velocity, trajectory.dt, input_sequence_length
@@ -83,6 +85,7 @@ def _constant(trajectory: Trajectory) -> dict[str, torch.Tensor]:
     return {
         "particle_type": torch.from_numpy(trajectory.particle_type),
         "material": torch.from_numpy(trajectory.material),
+        "volume": torch.from_numpy(trajectory.volume()),
         "lower": torch.tensor([scene.lower], dtype=torch.float32),
         "upper": torch.tensor([scene.upper], dtype=torch.float32),
         "gravity": torch.tensor([scene.gravity], dtype=torch.float32),

@@ -15,7 +15,7 @@ from torch import Tensor
 
 
 def context_fields(
-    position: Tensor, lower: Tensor, upper: Tensor, batch: Tensor, *, cell: float, volume: float
+    position: Tensor, lower: Tensor, upper: Tensor, batch: Tensor, *, cell: float, volume: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return the thickness of material above every particle, and the solid fraction around it.
 
@@ -29,7 +29,7 @@ def context_fields(
         upper: upper corner of every box [B, D] [m].
         batch: box of every particle [N].
         cell: wanted edge of a grid cell [m]; each axis of each box takes the nearest size that divides it.
-        volume: volume of a particle [m^D].
+        volume: volume that every particle stands for [N] [m^D].
 
     Returns:
         Thickness [N] [m], averaged over about a cell, and solid fraction [N], 1 where nothing is squeezed or opened.
@@ -54,7 +54,7 @@ def context_fields(
     boxes = len(lower)
     shape = (boxes * int(nodes[:-1].prod()), int(nodes[-1]))
     filled = torch.zeros(shape[0] * shape[1], dtype=position.dtype, device=position.device)
-    filled = filled.index_add(0, corner_index.flatten(), weight.flatten() * volume).view(shape)
+    filled = filled.index_add(0, corner_index.flatten(), (weight * volume).flatten()).view(shape)
     above = filled.flip(1).cumsum(1).flip(1) - 0.5 * filled
     room = edge.prod(dim=1).view(boxes, *(1,) * dim)
     for axis in range(dim):

@@ -18,6 +18,7 @@ class Static:
     Attributes:
         particle_type: [N] `ParticleType`.
         material: [N, K] material features.
+        volume: volume that every particle stands for [N] [m^D].
         lower: lower corner of every box [B, D] [m].
         upper: upper corner of every box [B, D] [m].
         gravity: [B, D] [m/s²].
@@ -26,6 +27,7 @@ class Static:
 
     particle_type: Tensor
     material: Tensor
+    volume: Tensor
     lower: Tensor
     upper: Tensor
     gravity: Tensor
@@ -69,7 +71,6 @@ def node_features(
     particle_types: tuple[int, ...],
     material_scale: Tensor,
     context: bool,
-    volume: float,
 ) -> Tensor:
     """Return what a particle knows of itself (Sanchez-Gonzalez et al. 2020, section 3).
 
@@ -82,7 +83,6 @@ def node_features(
         particle_types: the types that occur; coded one-hot if there are several.
         material_scale: [2, K] mean and standard deviation of the material features.
         context: add the distance to the floor within `REACH` radii, the overburden and the solid fraction.
-        volume: volume of a particle [m^D].
 
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
@@ -93,15 +93,16 @@ def node_features(
     parts = [(velocity / velocity_scale).flatten(1), walls.clamp(-1, 1)]
     if context:
         thickness, fraction = context_fields(
-            position, static.lower, static.upper, static.batch, cell=radius, volume=volume
+            position, static.lower, static.upper, static.batch, cell=radius, volume=static.volume
         )
         floor = (to_lower[:, -1] / (REACH * radius)).clamp(-1, 1)
         parts.append(torch.stack([floor, thickness / (REACH * radius), 2 * fraction], dim=1))
     if len(particle_types) > 1:
         known = torch.tensor(particle_types, device=position.device)
         parts.append((static.particle_type[:, None] == known).to(position.dtype))
-    if static.material.shape[1]:
-        parts.append((static.material - material_scale[0]) / material_scale[1])
+    used = material_scale.shape[1]
+    if used:
+        parts.append((static.material[:, :used] - material_scale[0]) / material_scale[1])
     return torch.cat(parts, dim=1)
 
 

@@ -28,7 +28,7 @@ def radius_graph(
         position: [N, D] [m].
         radius: connectivity radius R [m].
         batch: [N] graph of every particle, ascending; all in one graph if None.
-        backend: a key of `BACKENDS`, or "auto": "kdtree" on the CPU, "cell_list" elsewhere.
+        backend: a key of `BACKENDS`, or "auto": "cell_list" on CUDA, "kdtree" elsewhere.
         num_graphs: B, the number of graphs in `batch`.
 
     Returns:
@@ -40,7 +40,7 @@ def radius_graph(
     if not radius > 0:
         raise InputError(f"the connectivity radius must be positive, not {radius}.")
     if backend == "auto":
-        backend = "kdtree" if position.device.type == "cpu" else "cell_list"
+        backend = "cell_list" if position.device.type == "cuda" else "kdtree"
     if backend not in BACKENDS:
         raise InputError(f"unknown neighbour backend {backend!r}; known are auto, {', '.join(BACKENDS)}.")
     if not bool(torch.isfinite(position).all()):

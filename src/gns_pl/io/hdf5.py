@@ -145,8 +145,12 @@ def read_static(path: str | Path) -> dict[str, NDArray[Any]]:
         return {f.name: np.asarray(file[schema.LOCATION[f.name]][()]) for f in FIELDS if "T" not in f.shape}
 
 
-def read_trajectory(path: str | Path) -> Trajectory:
-    """Read a whole trajectory.
+def read_trajectory(path: str | Path, num_frames: int | None = None) -> Trajectory:
+    """Read a trajectory.
+
+    Args:
+        path: its file.
+        num_frames: read only the first so many frames; all if None.
 
     Raises:
         InputError: as `open_trajectory`, or numbers that are not finite.
@@ -154,7 +158,12 @@ def read_trajectory(path: str | Path) -> Trajectory:
     path = Path(path)
     with open_trajectory(path) as file, _named(path):
         header = _header(file)
-        arrays = {f.name: np.asarray(file[schema.LOCATION[f.name]][()]) for f in FIELDS}
+        arrays = {
+            f.name: np.asarray(
+                file[schema.LOCATION[f.name]][:num_frames] if "T" in f.shape else file[schema.LOCATION[f.name]][()]
+            )
+            for f in FIELDS
+        }
     _check_finite(path, arrays)
     return Trajectory(
         **arrays,

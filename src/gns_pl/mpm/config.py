@@ -14,8 +14,8 @@ about 1 it drifts, by 10 % at 1.9, without a sign of failure (docs/reference.md)
 TRANSFERS = ("flip", "apic", "pic")
 
 
-class SimulationError(RuntimeError):
-    """A run that became unstable or non-finite; the message names the scene and the time."""
+class SimulationError(InputError):
+    """A scene and settings whose run became unstable or non-finite; the message names the scene and the time."""
 
 
 @dataclass(frozen=True)

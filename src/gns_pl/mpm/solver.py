@@ -197,7 +197,7 @@ def simulate(
                 raise SimulationError(
                     f"scene {scene.name!r}: the simulation is unstable at {frame * frame_interval:.6g} s, with a speed "
                     f"of {fastest:.3g} m/s where about {speed:.3g} m/s can be reached (courant {config.courant:g}, "
-                    f"time step {dt:.3g} s)."
+                    f"time step {dt:.3g} s); choose a smaller courant."
                 )
         frames[frame] = lower + position[:, axes] * cell
         if on_frame is not None:

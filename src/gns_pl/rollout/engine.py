@@ -20,6 +20,7 @@ def static_of(trajectory: Trajectory) -> Static:
     return Static(
         particle_type=torch.from_numpy(trajectory.particle_type),
         material=torch.from_numpy(trajectory.material),
+        volume=torch.from_numpy(trajectory.volume()),
         lower=torch.tensor([scene.lower], dtype=torch.float32),
         upper=torch.tensor([scene.upper], dtype=torch.float32),
         gravity=torch.tensor([scene.gravity], dtype=torch.float32),
@@ -56,7 +57,7 @@ def rollout(
     config = simulator.config
     if start.scene.dim != config.dim:
         raise InputError(f"this simulator has {config.dim} dimensions, scene {start.scene.name!r} {start.scene.dim}.")
-    if start.material_features != config.material_features:
+    if start.material_features[: len(config.material_features)] != config.material_features:
         raise InputError(
             f"this simulator needs the material features {list(config.material_features)}, "
             f"not {list(start.material_features)}."

@@ -7,6 +7,8 @@ from typing import Any
 
 from lightning.pytorch import Callback, LightningModule, Trainer
 
+from gns_pl.io import atomic_path
+
 
 class LastCheckpoint(Callback):
     """Keeps `last.ckpt` of a run: every so many steps and after the last one. It must stand behind the averaging.
@@ -23,6 +25,7 @@ class LastCheckpoint(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Save; Lightning writes to a temporary file and moves it, so a kill leaves the one before."""
+        """Save, whole or not at all: a kill leaves the one before."""
         if trainer.global_step % self.every_n_steps == 0 or trainer.global_step == trainer.max_steps:
-            trainer.save_checkpoint(self.path)
+            with atomic_path(self.path) as temporary:
+                trainer.save_checkpoint(temporary)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
+from typing import Any, cast
 
 import torch
 from lightning.pytorch import LightningModule
 from torch import Tensor
-from torch.nn.functional import huber_loss, mse_loss
+from torch.nn.functional import mse_loss, smooth_l1_loss
 from torch_geometric.data import Data
 
 from gns_pl.checkpoint import KEY, checkpoint_entry
+from gns_pl.errors import InputError
 from gns_pl.evaluation.metrics import rollout_errors
 from gns_pl.graph import Static
 from gns_pl.rollout import rollout
@@ -30,6 +31,7 @@ def static_of_batch(batch: Data) -> Static:
     return Static(
         particle_type=batch.particle_type,
         material=batch.material,
+        volume=batch.volume,
         lower=batch.lower,
         upper=batch.upper,
         gravity=batch.gravity,
@@ -69,7 +71,7 @@ class SimulatorModule(LightningModule):
         provenance: dict[str, Any],
     ) -> None:
         super().__init__()
-        self.save_hyperparameters()
+        self.save_hyperparameters(logger=False)
         self.simulator = Simulator(SimulatorConfig.from_dict(model))
         self.perturb = Perturbation(**perturbation)
         self.optimisation = optimisation
@@ -83,12 +85,11 @@ class SimulatorModule(LightningModule):
         """Return the mean loss of the normalised acceleration over the moved particles.
 
         Few particles at an impact have accelerations of ten times the others' and most of the squared error; the
-        Huber loss keeps the slow majority, which makes a collapse, in sight.
+        Huber loss (over delta: smooth L1) keeps the slow majority, which makes a collapse, in sight.
         """
         static = static_of_batch(batch)
         # The noise depends on the seed and the step alone: a resumed run draws what an uninterrupted one would.
-        seed = (self.seed * 1_000_003 + self.global_step) * 1_009 + self.global_rank
-        generator = torch.Generator(device=self.device).manual_seed(seed)
+        generator = torch.Generator(device=self.device).manual_seed(self.seed * 1_000_003 + self.global_step)
         history, goal = batch.position[:, :-1], batch.position[:, -1]
         if self.optimisation["symmetry"]:
             history, goal, static = sample_symmetry(history, goal, static, generator)
@@ -97,14 +98,19 @@ class SimulatorModule(LightningModule):
         target = self.simulator.target(history, goal, static)
         predicted, target = predicted[static.moved], target[static.moved]
         delta = self.optimisation["huber_delta"]
-        loss = mse_loss(predicted, target) if delta is None else huber_loss(predicted, target, delta=delta)
+        loss = mse_loss(predicted, target) if delta is None else smooth_l1_loss(predicted, target, beta=delta)
         self.log("loss", loss, prog_bar=True, batch_size=batch.num_graphs)
         self._windows += batch.num_graphs
         return loss
 
     def on_train_batch_end(self, outputs: Any, batch: Data, batch_index: int) -> None:
-        """Log the pace every 50 steps."""
-        if self.global_step % 50 == 0:
+        """Log the pace now and then, and stop at a loss that is not finite."""
+        if self.global_step % cast(Any, self.trainer).log_every_n_steps == 0:
+            if not math.isfinite(float(outputs["loss"])):
+                raise InputError(
+                    f"the loss is {float(outputs['loss'])} after {self.global_step} steps; "
+                    "lower training.optimisation.learning_rate."
+                )
             now = time.perf_counter()
             before, windows = self._clock
             self.log("windows_per_s", (self._windows - windows) / (now - before), prog_bar=True, batch_size=1)

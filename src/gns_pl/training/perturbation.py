@@ -34,6 +34,9 @@ class Perturbation:
     restore: float
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"training.{name} must be a number, not {value!r}.")
         for name in ("noise_std", "strain_std"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"training.{name} must not be negative, but is {getattr(self, name)}.")

@@ -20,8 +20,10 @@ from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
 from gns_pl.generation import generate_dataset
 from gns_pl.io import Manifest, manifest_sha256
+from gns_pl.simulator import SimulatorConfig
+from gns_pl.training.config import TrainingConfig
 from gns_pl.training.module import SimulatorModule
-from gns_pl.training.resume import check_resume
+from gns_pl.training.resume import steps_made
 
 PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
 
@@ -38,76 +40,114 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         Path of the last checkpoint.
 
     Raises:
-        InputError: a setting that cannot be used.
+        InputError: a setting that cannot be used; found before anything is generated where that is possible.
     """
     quieten()
-    seed_everything(cfg.seed, workers=True, verbose=False)
-    data = plain(cfg.data)
-    directory = generate_dataset(data)
-    module, datamodule = build(cfg, data, directory)
-    if resume is not None:
-        check_resume(resume, dict(module.hparams))
-    callbacks = [instantiate(callback) for callback in cfg.callbacks.values()]
-    loggers = [instantiate(logger) for logger in cfg.logger.values() if OmegaConf.is_config(logger)]
+    settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    training = TrainingConfig.from_dict(settings["training"])
+    check_model(settings["model"])
+    if cfg.trainer.devices not in (1, "1", "auto"):
+        raise InputError(f"trainer.devices={cfg.trainer.devices}: training runs on one device so far; set it to 1.")
+    steps = training.optimisation.num_steps
+    if resume is not None and steps_made(resume, settings) >= steps:
+        print(f"{resume} has made its {steps} steps already; nothing is left to train.")
+        return resume
+    seed_everything(settings["seed"], workers=True, verbose=False)
+    directory = generate_dataset(settings["data"])
+    datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
+    module = build_module(settings, training, datamodule)
     last = output / "last.ckpt"
-    trainer: Trainer = instantiate(cfg.trainer, callbacks=callbacks, logger=loggers)
+    loggers = [instantiate(logger) for logger in cfg.logger.values() if OmegaConf.is_config(logger)]
+    trainer: Trainer = instantiate(
+        cfg.trainer,
+        callbacks=[instantiate(callback) for callback in cfg.callbacks.values()],
+        logger=loggers,
+        val_check_interval=min(cfg.trainer.val_check_interval, steps),
+    )
     print(
-        f"{cfg.name}: {len(datamodule.train_set)} windows of {len(datamodule.train_names)} trajectories, "
-        f"{sum(p.numel() for p in module.parameters())} parameters, {trainer.max_steps} steps on "
-        f"{trainer.strategy.root_device}, into {output}"
+        f"{settings['name']}: {len(datamodule.train_set)} windows of {len(datamodule.train_names)} trajectories, "
+        f"{sum(p.numel() for p in module.parameters())} parameters, {steps} steps on {trainer.strategy.root_device}, "
+        f"into {output}",
+        flush=True,
     )
     try:
         for logger in loggers:
-            logger.log_hyperparams(plain(cfg))
+            logger.log_hyperparams(settings)
         trainer.fit(module, datamodule=datamodule, ckpt_path=resume, weights_only=True)
     except SystemExit:  # Lightning's way out after Ctrl-C
-        hint = f"; to go on, add resume={last}" if last.is_file() else ""
-        raise SystemExit(f"train.py: stopped after {trainer.global_step} steps{hint}.") from None
+        hint = f"; to go on, add resume={last} hydra.run.dir={output}" if last.is_file() else ""
+        raise SystemExit(f"train.py: stopped after {trainer.global_step} steps{hint}") from None
     finally:
-        finish_wandb(cfg)
+        if "wandb" in settings["logger"]:
+            import wandb
+
+            wandb.finish()  # or the jobs of a sweep would merge into one run
     return last
 
 
-def build(cfg: DictConfig, data: dict[str, Any], directory: Path) -> tuple[SimulatorModule, TrajectoryDataModule]:
-    """Return the module, its statistics set, and the data module of a config and a dataset folder."""
-    training = plain(cfg.training)
-    model = plain(cfg.model)
+def check_model(model: Mapping[str, Any]) -> None:
+    """Raise an `InputError` for a model that no data could make valid."""
+    data = {"dim": 3, "dt": 1.0, "spacing": 1.0, "particle_types": (), "material_features": ()}
+    SimulatorConfig.from_dict({**model, **data})
+
+
+def build_data(directory: Path, training: TrainingConfig, length: int, seed: int) -> TrajectoryDataModule:
+    """Return the data module of a dataset folder, with its training set open.
+
+    Args:
+        directory: folder with a manifest.
+        training: conf/training.
+        length: H.
+        seed: of the order of windows.
+    """
     datamodule = TrajectoryDataModule(
         directory,
-        batch_size=training["batch_size"],
-        num_steps=training["optimisation"]["num_steps"],
-        input_sequence_length=model["input_sequence_length"],
-        start_repeats=training["start_repeats"],
-        num_workers=training["num_workers"],
-        memory_limit=training["memory_limit"],
-        num_train=training["num_train"],
-        seed=cfg.seed,
-    )
-    manifest = datamodule.manifest
-    perturbation = {key: training[key] for key in ("noise_std", "noise_free", "strain_std", "strain_length", "restore")}
-    module = SimulatorModule(
-        model={
-            **model,
-            "dim": manifest.dim,
-            "dt": manifest.dt,
-            "spacing": manifest.spacing,
-            "particle_types": list(manifest.particle_types),
-            "material_features": list(manifest.material_features),
-        },
-        data=data,
-        optimisation=training["optimisation"],
-        perturbation=perturbation,
-        seed=cfg.seed,
-        provenance=provenance(cfg, directory),
+        batch_size=training.batch_size,
+        num_steps=training.optimisation.num_steps,
+        input_sequence_length=length,
+        start_repeats=training.start_repeats,
+        num_workers=training.num_workers,
+        memory_limit=training.memory_limit,
+        num_train=training.num_train,
+        seed=seed,
     )
     datamodule.setup("fit")
-    scales = statistics(manifest, data["gravity"], training["noise_std"])
+    return datamodule
+
+
+def build_module(
+    settings: Mapping[str, Any], training: TrainingConfig, datamodule: TrajectoryDataModule
+) -> SimulatorModule:
+    """Return the module with the statistics of its data set.
+
+    Args:
+        settings: the resolved config.
+        training: conf/training, checked.
+        datamodule: with its training set open.
+    """
+    manifest = datamodule.manifest
+    of_data = {
+        "dim": manifest.dim,
+        "dt": manifest.dt,
+        "spacing": manifest.spacing,
+        "particle_types": list(manifest.particle_types),
+        "material_features": list(manifest.material_features),
+    }
+    module = SimulatorModule(
+        model={**settings["model"], **of_data},
+        data=settings["data"],
+        optimisation=vars(training.optimisation),
+        perturbation=vars(training.perturbation),
+        seed=settings["seed"],
+        provenance=provenance(settings, datamodule.directory),
+    )
+    scales = statistics(manifest, settings["data"]["gravity"], training.perturbation.noise_std)
     module.simulator.set_statistics(**scales, material=material_scale(datamodule))
-    return module, datamodule
+    return module
 
 
 def statistics(manifest: Manifest, gravity: float, noise_std: float) -> dict[str, float]:
-    """Return root mean squares over all components, training noise included.
+    """Return root mean squares over all components, random-walk noise included.
 
     Args:
         manifest: with mean and standard deviation of velocity and acceleration.
@@ -139,18 +179,13 @@ def material_scale(datamodule: TrajectoryDataModule) -> torch.Tensor:
 def quieten() -> None:
     """Keep Lightning's advertisements, and warnings that tell a user nothing, off the terminal."""
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
-    for message in (
-        ".*exists and is not empty",
-        ".*does not have many workers",
-        ".*LeafSpec.*",
-        ".*weights_only.*",
-        ".*not resumable.*",
-    ):
-        warnings.filterwarnings("ignore", message)
+    known = ("exists and is not empty", "does not have many workers", "LeafSpec", "weights_only", "not resumable")
+    for message in known:
+        warnings.filterwarnings("ignore", f".*{message}")
     warnings.filterwarnings("ignore", category=DeprecationWarning)
 
 
-def provenance(cfg: DictConfig, directory: Path) -> dict[str, Any]:
+def provenance(settings: Mapping[str, Any], directory: Path) -> dict[str, Any]:
     """Return versions, commit, config and the hash of the dataset's manifest."""
     try:
         commit = subprocess.run(
@@ -163,25 +198,9 @@ def provenance(cfg: DictConfig, directory: Path) -> dict[str, Any]:
     except (OSError, subprocess.CalledProcessError):
         commit = "unknown"
     return {
-        "description": cfg.description,
+        "description": settings["description"],
         "versions": {name: version(name) for name in PACKAGES},
         "commit": commit,
-        "config": plain(cfg),
+        "config": dict(settings),
         "manifest_sha256": manifest_sha256(directory),
     }
-
-
-def finish_wandb(cfg: DictConfig) -> None:
-    """End the W&B run, or the jobs of a sweep would merge into one."""
-    if "wandb" in cfg.logger:
-        import wandb
-
-        wandb.finish()
-
-
-def plain(cfg: Any) -> dict[str, Any]:
-    """Return a config as plain dicts and lists."""
-    resolved = OmegaConf.to_container(cfg, resolve=True) if OmegaConf.is_config(cfg) else cfg
-    if not isinstance(resolved, Mapping):
-        raise InputError(f"expected a group of settings, not {resolved!r}.")
-    return {str(key): value for key, value in resolved.items()}

@@ -1,0 +1,107 @@
+"""The numbers of conf/training, checked before anything is generated or read."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gns_pl.errors import InputError
+from gns_pl.training.perturbation import Perturbation
+
+
+@dataclass(frozen=True)
+class Optimisation:
+    """How the weights are fitted.
+
+    Attributes:
+        num_steps: training steps in all.
+        learning_rate: its largest value, after the warm-up.
+        final_factor: share of it that is left at the end.
+        weight_decay: of AdamW.
+        warmup_steps: linear rise of the learning rate.
+        huber_delta: of the loss, in units of the acceleration scale; None for the mean squared error.
+        symmetry: mirror and exchange the horizontal axes at random.
+
+    Raises:
+        InputError: a value out of range.
+    """
+
+    num_steps: int
+    learning_rate: float
+    final_factor: float
+    weight_decay: float
+    warmup_steps: int
+    huber_delta: float | None
+    symmetry: bool
+
+    def __post_init__(self) -> None:
+        _check("training.optimisation", self, num_steps=1, warmup_steps=0)
+        _check("training.optimisation", self, learning_rate=0.0, final_factor=0.0, weight_decay=0.0)
+        if self.huber_delta is not None:
+            _check("training.optimisation", self, huber_delta=1e-6)
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Everything in conf/training.
+
+    Attributes:
+        batch_size: windows per step.
+        num_workers: loader processes.
+        memory_limit: a larger training set is read window by window [bytes].
+        num_train: training trajectories; None for all.
+        start_repeats: how often a pass shows the windows at the start of each trajectory.
+        perturbation: noise.
+        optimisation: the fit.
+
+    Raises:
+        InputError: an unknown or missing key, or a value out of range.
+    """
+
+    batch_size: int
+    num_workers: int
+    memory_limit: float
+    num_train: int | None
+    start_repeats: int
+    perturbation: Perturbation
+    optimisation: Optimisation
+
+    def __post_init__(self) -> None:
+        _check("training", self, batch_size=1, num_workers=0, start_repeats=1)
+        _check("training", self, memory_limit=0.0)
+        if self.num_train is not None:
+            _check("training", self, num_train=1)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> TrainingConfig:
+        """Build the config from conf/training's plain form, in which the noise is not nested."""
+        noise = [field.name for field in dataclasses.fields(Perturbation)]
+        known = {field.name for field in dataclasses.fields(cls)} - {"perturbation"} | set(noise)
+        _check_keys("training", data, known)
+        _check_keys("training.optimisation", data["optimisation"], {f.name for f in dataclasses.fields(Optimisation)})
+        rest = {key: value for key, value in data.items() if key not in noise and key != "optimisation"}
+        return cls(
+            perturbation=Perturbation(**{key: data[key] for key in noise}),
+            optimisation=Optimisation(**data["optimisation"]),
+            **rest,
+        )
+
+
+def _check_keys(owner: str, data: Mapping[str, Any], known: set[str]) -> None:
+    unknown, missing = sorted(set(data) - known), sorted(known - set(data))
+    if unknown or missing:
+        what = f"unknown key {', '.join(unknown)}" if unknown else f"missing key {', '.join(missing)}"
+        raise InputError(f"{owner}: {what}; known are {', '.join(sorted(known))}.")
+
+
+def _check(owner: str, config: object, **least: float) -> None:
+    """Raise an `InputError` unless each named attribute is a number of its bound's kind, and at least the bound."""
+    for name, bound in least.items():
+        value = getattr(config, name)
+        whole = isinstance(bound, int)
+        if isinstance(value, bool) or not isinstance(value, int if whole else int | float) or not value >= bound:
+            raise InputError(
+                f"{owner}.{name} must be a {'whole ' if whole else ''}number of at least {bound:g}, not {value!r}."
+            )
