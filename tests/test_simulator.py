@@ -58,6 +58,16 @@ def test_free_fall_is_exact_if_the_network_is_silent(drop: Scene) -> None:
         np.testing.assert_allclose(predicted.position, expected, atol=5e-6)
 
 
+@pytest.mark.parametrize("output", ["acceleration", "gated"])
+def test_a_particle_without_contact_falls_freely_whatever_the_weights(output: str) -> None:
+    simulator, static = make_simulator(output=output), make_static(3)
+    end = torch.tensor([[0.5, 0.5, 0.5], [0.3, 0.3, 0.8], [0.3, 0.3, 0.05]])  # alone, alone, at the floor
+    velocity = torch.tensor([[0.2, 0.0, -1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    history = end[:, None] - 0.01 * velocity[:, None] * torch.arange(3, -1, -1.0)[:, None]
+    moved = (simulator(history, static) - end) / 0.01 - velocity - 0.01 * static.gravity
+    assert moved[:2].abs().max() < 1e-4 < moved[2].abs().max()
+
+
 def test_closed_gate_brings_everything_to_rest(drop: Scene) -> None:
     simulator = make_simulator(output="gated")
     last = simulator.network.decoder[-1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.scene import Scene, fill_scene
+from gns_pl.scene import Body, Scene, fill_scene
 from gns_pl.trajectory import Trajectory, ballistic_history, start_trajectory
 
 ACCELERATION = np.array([0.5, -1.0, -9.75])
@@ -90,3 +90,23 @@ def test_start_is_the_filling(drop: Scene) -> None:
 def test_shapes_that_do_not_fit_are_refused(thrown: Trajectory, changes: dict[str, object], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         replace(thrown, **changes)  # type: ignore[arg-type]
+
+
+def test_volumes_are_those_of_the_filling_also_with_two_materials(drop: Scene) -> None:
+    light = replace(drop.materials["sand"], density=900)
+    second = Body((0.05, 0.05, 0.05), (0.11, 0.12, 0.13), (0.0, 0.0, 0.0), "light")
+    scene = drop.replace(materials={**drop.materials, "light": light}, bodies=(*drop.bodies, second))
+    particles = fill_scene(scene, 0.04)  # divides none of the edges
+    start = start_trajectory(scene, particles, 0.01, {})
+    np.testing.assert_allclose(start.volume(), particles.volume, rtol=1e-6)
+    assert start.volume().sum() == pytest.approx(0.3**3 + 0.11 * 0.12 * 0.13, rel=1e-5)
+
+
+def test_a_particle_of_unknown_density_is_refused(drop: Scene) -> None:
+    light = replace(drop.materials["sand"], density=900)
+    second = Body((0.05, 0.05, 0.05), (0.1, 0.1, 0.1), (0.0, 0.0, 0.0), "light")
+    scene = drop.replace(materials={**drop.materials, "light": light}, bodies=(*drop.bodies, second))
+    start = start_trajectory(scene, fill_scene(scene, 0.05), 0.01, {})
+    start.position[0, 0] = 0.9
+    with pytest.raises(InputError, match="outside every body"):
+        start.volume()

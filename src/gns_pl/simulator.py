@@ -150,6 +150,9 @@ class Simulator(nn.Module):
     def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
         """Return the network's (a − g) / `acceleration_scale` [N, D].
 
+        It is a contact force over a mass, so it is exactly zero for a particle that has neither a neighbour nor a wall
+        within the connectivity radius: such a particle falls freely, whatever the weights are.
+
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
             static: the scenes.
@@ -176,11 +179,19 @@ class Simulator(nn.Module):
         )
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = self.network(node, edge, edge_index)
-        if config.output == "acceleration":
-            return output
-        increment, gate = output.chunk(2, dim=1)
-        falling = velocity[:, -1] / config.dt + static.gravity[static.batch]  # (v + g Δt) / Δt
-        return increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
+        if config.output == "gated":
+            increment, gate = output.chunk(2, dim=1)
+            falling = velocity[:, -1] / config.dt + static.gravity[static.batch]  # (v + g Δt) / Δt
+            output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
+        return torch.where(self._in_contact(position, edge_index, static)[:, None], output, 0.0)
+
+    def _in_contact(self, position: Tensor, edge_index: Tensor, static: Static) -> Tensor:
+        """Return which particles have a neighbour or a wall within the connectivity radius [N] bool."""
+        radius = self.config.connectivity_radius
+        lower, upper = static.lower[static.batch], static.upper[static.batch]
+        contact = ((position - lower < radius) | (upper - position < radius)).any(dim=1)
+        contact[edge_index[1]] = True
+        return contact
 
     def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:
         """Return the normalised a − g that carries `history` to `next_position` in one step [N, D].
