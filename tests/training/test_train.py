@@ -118,6 +118,20 @@ def test_bad_settings_are_refused_before_anything_is_generated(tmp_path: Path, c
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.parametrize(("wanted", "number"), [("null", 1), ("[]", 0), ("[tan_friction_angle]", 1)])
+def test_material_features_are_optional_inputs(data_root: Path, tmp_path: Path, wanted: str, number: int) -> None:
+    cfg = make_config(data_root, tmp_path, f"model.material_features={wanted}", "training.optimisation.num_steps=2")
+    simulator = load_checkpoint(train(cfg, tmp_path, None)).simulator
+    assert len(simulator.config.material_features) == number
+    without = 3 * 3 + 2 * 3 + 3  # velocities, walls, context
+    assert simulator.network.node_encoder[0].in_features == without + number
+
+
+def test_material_features_the_data_do_not_have(data_root: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="the data have"):
+        train(make_config(data_root, tmp_path, "model.material_features=[cohesion]"), tmp_path, None)
+
+
 def test_more_trajectories_than_there_are(data_root: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="2 training trajectories"):
         train(make_config(data_root, tmp_path, "training.num_train=5"), tmp_path, None)

@@ -150,6 +150,9 @@ def evaluate(
     report.show(document, files)
     if logger is not None:
         print(f"  {tracking.log_evaluation(document, files, out=out, **logger)}")
+    logs = sorted(checkpoint_path.parent.glob("csv/*/metrics.csv"))
+    if logs:
+        print("The training's own log:", *logs, sep="\n  ")
     return document
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import subprocess
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import torch
 from hydra.utils import instantiate
 from lightning.pytorch import Trainer, seed_everything
+from lightning.pytorch.loggers import Logger
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
@@ -43,6 +45,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         InputError: a setting that cannot be used; found before anything is generated where that is possible.
     """
     quieten()
+    os.environ.setdefault("WANDB_SILENT", "true")  # it would print a page; where its run is, is told below
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     training = TrainingConfig.from_dict(settings["training"])
     check_model(settings["model"])
@@ -71,8 +74,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         flush=True,
     )
     try:
-        for logger in loggers:
-            logger.log_hyperparams(settings)
+        log_settings(loggers, settings)
         trainer.fit(module, datamodule=datamodule, ckpt_path=resume, weights_only=True)
     except SystemExit:  # Lightning's way out after Ctrl-C
         hint = f"; to go on, add resume={last} hydra.run.dir={output}" if last.is_file() else ""
@@ -82,7 +84,36 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
             import wandb
 
             wandb.finish()  # or the jobs of a sweep would merge into one run
+    made = [last, output / "best.ckpt", *sorted(output.glob("csv/*/metrics.csv")), *sorted(output.glob("wandb/*run-*"))]
+    print("Made:", *(path for path in made if path.exists()), sep="\n  ")
     return last
+
+
+def log_settings(loggers: Sequence[Logger], settings: dict[str, Any]) -> None:
+    """Write the resolved config to every logger, which starts them.
+
+    Raises:
+        InputError: W&B refuses to start, as it does online without an account.
+    """
+    import wandb
+
+    try:
+        for logger in loggers:
+            logger.log_hyperparams(settings)
+    except wandb.errors.Error as error:
+        raise InputError(f"W&B could not start ({error}); logger.offline=true needs no account.") from error
+
+
+def choose_features(wanted: Sequence[str] | None, available: Sequence[str]) -> list[str]:
+    """Return the material features that become node inputs: those wanted, all that the data have if None.
+
+    Raises:
+        InputError: features that the data do not begin with.
+    """
+    features = list(available if wanted is None else wanted)
+    if features != list(available)[: len(features)]:
+        raise InputError(f"model.material_features is {features}, but the data have {list(available)}, in this order.")
+    return features
 
 
 def check_model(model: Mapping[str, Any]) -> None:
@@ -126,12 +157,12 @@ def build_module(
         datamodule: with its training set open.
     """
     manifest = datamodule.manifest
-    of_data = {
+    of_data: dict[str, Any] = {
         "dim": manifest.dim,
         "dt": manifest.dt,
         "spacing": manifest.spacing,
         "particle_types": list(manifest.particle_types),
-        "material_features": list(manifest.material_features),
+        "material_features": choose_features(settings["model"]["material_features"], manifest.material_features),
     }
     module = SimulatorModule(
         model={**settings["model"], **of_data},
@@ -142,7 +173,7 @@ def build_module(
         provenance=provenance(settings, datamodule.directory),
     )
     scales = statistics(manifest, settings["data"]["gravity"], training.perturbation.noise_std)
-    module.simulator.set_statistics(**scales, material=material_scale(datamodule))
+    module.simulator.set_statistics(**scales, material=material_scale(datamodule, len(of_data["material_features"])))
     return module
 
 
@@ -169,9 +200,9 @@ def statistics(manifest: Manifest, gravity: float, noise_std: float) -> dict[str
     }
 
 
-def material_scale(datamodule: TrajectoryDataModule) -> torch.Tensor:
-    """Return mean and standard deviation of the material features over the training set [2, K]; 1 where constant."""
-    material = torch.cat([constant["material"] for constant in datamodule.train_set.constant]).double()
+def material_scale(datamodule: TrajectoryDataModule, number: int) -> torch.Tensor:
+    """Return mean and standard deviation of the first K = `number` material features [2, K]; 1 where constant."""
+    material = torch.cat([constant["material"][:, :number] for constant in datamodule.train_set.constant]).double()
     deviation = material.std(dim=0, correction=0)
     return torch.stack([material.mean(dim=0), torch.where(deviation > 1e-9, deviation, 1.0)]).float()
 
