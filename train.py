@@ -5,6 +5,7 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.errors import told_plainly
@@ -16,15 +17,14 @@ OmegaConf.register_new_resolver("shortened", lambda text: re.sub(r"[^\w.+-]+", "
 @hydra.main(version_base=None, config_path="conf", config_name="train")
 def main(cfg: DictConfig) -> None:
     """Train with one config; Hydra calls it once per job of a sweep."""
-    with told_plainly("train.py"):
-        output = Path(HydraConfig.get().runtime.output_dir)
+    with told_plainly("train.py", in_sweep=HydraConfig.get().mode == RunMode.MULTIRUN):
         from gns_pl.training.resume import find_resume
 
+        output = Path(HydraConfig.get().runtime.output_dir)
         resume = find_resume(cfg.resume, output)
         from gns_pl.training.train import train  # heavy: torch, Lightning, W&B
 
-        last = train(cfg, output, resume)
-        print(f"Trained. To judge it: python evaluate.py ckpt={last}")
+        print(f"Trained. To judge it: python evaluate.py ckpt={train(cfg, output, resume)}")
 
 
 if __name__ == "__main__":

@@ -15,11 +15,12 @@ class InputError(ValueError):
 
 
 @contextmanager
-def told_plainly(door: str) -> Iterator[None]:
+def told_plainly(door: str, *, in_sweep: bool = False) -> Iterator[None]:
     """Turn an `InputError`, or a file that may not be touched, into one line on stderr and exit status 2.
 
     Args:
         door: name of the command, printed before the sentence.
+        in_sweep: raise the error again instead of ending, so that Hydra goes on with the other jobs.
 
     Raises:
         SystemExit: status 2 after one of these; other exceptions pass through with their traceback.
@@ -28,4 +29,6 @@ def told_plainly(door: str) -> Iterator[None]:
         yield
     except (InputError, PermissionError) as error:
         print(f"{door}: {error}", file=sys.stderr)
+        if in_sweep:
+            raise
         raise SystemExit(2) from error

@@ -50,6 +50,12 @@ def test_train_again_and_sweep(tmp_path: Path) -> None:
     assert all(len(list((job.parent / "wandb").glob("offline-run-*"))) == 1 for job in jobs)
 
 
+def test_a_bad_job_does_not_end_a_sweep(tmp_path: Path) -> None:
+    sweep = run(tmp_path, "-m", *tiny("training.noise_std=-1,1e-4", "hydra.sweep.dir=runs/sweep", "~logger.wandb"))
+    assert sweep.returncode != 0 and "noise_std must not be negative" in sweep.stderr
+    assert [path.parent.name[0] for path in (tmp_path / "runs/sweep").glob("*/last.ckpt")] == ["1"]
+
+
 @pytest.mark.parametrize(
     ("argument", "sentence"),
     [("resume=nowhere.ckpt", "no such checkpoint"), ("training.noise_std=-1", "noise_std must not be negative")],
