@@ -9,6 +9,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.errors import told_plainly
+from gns_pl.training.resume import find_resume
 
 # Names a sweep's folders by what is overridden, in characters and at a length that paths and `ckpt=…` can take.
 OmegaConf.register_new_resolver("shortened", lambda text: re.sub(r"[^\w.+-]+", "_", str(text))[:120])
@@ -18,11 +19,9 @@ OmegaConf.register_new_resolver("shortened", lambda text: re.sub(r"[^\w.+-]+", "
 def main(cfg: DictConfig) -> None:
     """Train with one config; Hydra calls it once per job of a sweep."""
     with told_plainly("train.py", in_sweep=HydraConfig.get().mode == RunMode.MULTIRUN):
-        from gns_pl.training.resume import find_resume
-
         output = Path(HydraConfig.get().runtime.output_dir)
-        resume = find_resume(cfg.resume, output)
-        from gns_pl.training.train import train  # heavy: torch, Lightning, W&B
+        resume = find_resume(cfg.resume, output)  # before the heavy imports: torch, Lightning, W&B
+        from gns_pl.training.train import train
 
         print(f"Trained. To judge it: python evaluate.py ckpt={train(cfg, output, resume)}")
 
