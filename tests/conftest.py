@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -101,14 +103,4 @@ def make_moving(scene: Scene, *, frames: int, spacing: float = 0.05, dt: float =
         velocity = velocity + generator.normal(0, 0.05, (number, dim)) - 0.02 * velocity
         position = position + velocity * dt
         frames_made.append(position.astype(np.float32))
-    return Trajectory(
-        position=np.stack(frames_made),
-        particle_type=start.particle_type,
-        material=start.material,
-        material_features=start.material_features,
-        mass=start.mass,
-        initial_velocity=start.initial_velocity,
-        dt=dt,
-        scene=scene,
-        provenance={},
-    )
+    return replace(start, position=np.stack(frames_made))

@@ -10,16 +10,16 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gns_pl.errors import told_plainly
-from gns_pl.fields import MATERIAL_FEATURES
 from gns_pl.generation import generate_dataset, solver
 from gns_pl.scene import Scene, fill_scene
-from gns_pl.trajectory import Trajectory
+from gns_pl.trajectory import Trajectory, start_trajectory
 
 MPM = {
     "cell_size": 0.25,
@@ -85,17 +85,8 @@ def fake_solver(
     position = particles.position + time_ * particles.velocity + 0.5 * time_**2 * np.array(scene.gravity)
     if on_frame is not None:
         on_frame(num_frames - 1, num_frames)
-    return Trajectory(
-        position=np.clip(position, scene.lower, scene.upper).astype(np.float32),
-        particle_type=particles.particle_type,
-        material=particles.material,
-        material_features=MATERIAL_FEATURES,
-        mass=particles.mass.astype(np.float32),
-        initial_velocity=particles.velocity.astype(np.float32),
-        dt=frame_interval,
-        scene=scene,
-        provenance={"solver": "fake", "seed": seed},
-    )
+    start = start_trajectory(scene, particles, frame_interval, {"solver": "fake", "seed": seed})
+    return replace(start, position=np.clip(position, scene.lower, scene.upper).astype(np.float32))
 
 
 def _slow_solver(scene: Scene, mpm: Mapping[str, Any], **rest: Any) -> Trajectory:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 import gns_pl
 from gns_pl.errors import InputError
-from gns_pl.fields import MATERIAL_FEATURES
 from gns_pl.mpm.config import MPMConfig, SimulationError
 from gns_pl.scene import FACES, Particles, Scene, fill_scene
-from gns_pl.trajectory import Trajectory
+from gns_pl.trajectory import Trajectory, start_trajectory
 
 MIN_STEPS_PER_FRAME = 4
 """With fewer, accelerations taken from frames are rough."""
@@ -202,23 +201,14 @@ def simulate(
         frames[frame] = lower + position[:, axes] * cell
         if on_frame is not None:
             on_frame(frame, num_frames)
-    return Trajectory(
-        position=frames,
-        particle_type=particles.particle_type,
-        material=particles.material,
-        material_features=MATERIAL_FEATURES,
-        mass=particles.mass.astype(np.float32),
-        initial_velocity=particles.velocity.astype(np.float32),
-        dt=frame_interval,
-        scene=scene,
-        provenance={
-            "solver": "gns_pl.mpm",
-            "version": gns_pl.__version__,
-            "config": asdict(config),
-            "seed": seed,
-            "time_step": dt,
-            "num_steps": steps * (num_frames - 1),
-            "cell": [grid.cell[axis] for axis in axes],
-            "num_put_back": int(put_back),
-        },
-    )
+    provenance: dict[str, object] = {
+        "solver": "gns_pl.mpm",
+        "version": gns_pl.__version__,
+        "config": asdict(config),
+        "seed": seed,
+        "time_step": dt,
+        "num_steps": steps * (num_frames - 1),
+        "cell": [grid.cell[axis] for axis in axes],
+        "num_put_back": int(put_back),
+    }
+    return replace(start_trajectory(scene, particles, frame_interval, provenance), position=frames)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -91,14 +92,4 @@ def rollout(
     provenance["wall_seconds"] = time.perf_counter() - began
     provenance["device"] = str(device)
     provenance["num_threads"] = torch.get_num_threads()
-    return Trajectory(
-        position=np.stack(frames),
-        particle_type=start.particle_type,
-        material=start.material,
-        material_features=start.material_features,
-        mass=start.mass,
-        initial_velocity=start.initial_velocity,
-        dt=config.dt,
-        scene=start.scene,
-        provenance=provenance,
-    )
+    return replace(start, position=np.stack(frames), dt=config.dt, provenance=provenance)
