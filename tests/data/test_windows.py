@@ -12,7 +12,7 @@ from torch_geometric.loader import DataLoader
 from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
 from gns_pl.io import write_trajectory
-from gns_pl.scene import Scene
+from gns_pl.scene import Plane, Scene, Wall
 from gns_pl.trajectory import Trajectory
 from tests.conftest import make_moving
 
@@ -71,3 +71,7 @@ def test_refusals(tmp_path: Path, drop: Scene) -> None:
     write_trajectory(tmp_path / "short.h5", make_moving(drop, frames=1, spacing=0.1))
     with pytest.raises(InputError, match=r"short\.h5"):
         WindowDataset([tmp_path / "short.h5"], input_sequence_length=3, start_repeats=1, in_memory=True)
+    slope = Plane((0, 0, 0.1), (1, 0, 3), Wall("slip"))
+    write_trajectory(tmp_path / "slope.h5", make_moving(drop.replace(obstacles=(slope,)), frames=3, spacing=0.1))
+    with pytest.raises(InputError, match=r"slope\.h5: its scene has obstacles"):
+        WindowDataset([tmp_path / "slope.h5"], input_sequence_length=3, start_repeats=1, in_memory=True)

@@ -63,8 +63,14 @@ def test_config_composes_with_the_documented_overrides() -> None:
 
 @pytest.mark.slow
 def test_a_whole_run_from_two_folders_gives_the_same_numbers(tmp_path) -> None:
-    mpm = {"cell_size": 1 / 12, "points_per_direction": 2, "courant": 0.3, "transfer": "flip", "damping_rate": 20.0}
-    data = DATA | {"mpm": mpm | {"viscosity_time": 1e-3, "jitter": 0.7}}
+    mpm = {
+        "cell_size": 1 / 12,
+        "points_per_direction": 2,
+        "courant": 0.3,
+        "transfer": "affine_flip",
+        "damping_rate": 20.0,
+    }
+    data = DATA | {"mpm": mpm | {"bulk_viscosity": 0.3, "jitter": 0.7}}
     simulator = make_simulator(dt=0.02, connectivity_radius=0.08, output="gated")
     settings = ("evaluation.only=column_2.0", "evaluation.duration=3", "logger.enabled=false")
     documents = []

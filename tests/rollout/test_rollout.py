@@ -6,7 +6,7 @@ import torch
 
 from gns_pl.errors import InputError
 from gns_pl.rollout import rollout
-from gns_pl.scene import Scene
+from gns_pl.scene import Plane, Scene, Wall
 from tests.conftest import make_moving, make_simulator, make_start
 
 
@@ -61,3 +61,9 @@ def test_a_start_that_does_not_fit(drop: Scene) -> None:
         rollout(make_simulator(material_features=("cohesion",)), make_start(drop), 1)
     with pytest.raises(InputError, match="dimensions"):
         rollout(make_simulator(dim=2), make_start(drop), 1)
+
+
+def test_a_scene_with_obstacles_is_refused(drop: Scene) -> None:
+    slope = Plane((0, 0, 0.1), (1, 0, 3), Wall("slip"))
+    with pytest.raises(InputError, match="scene 'cube_drop' has obstacles, and a learned simulator knows no obstacles"):
+        rollout(make_simulator(), make_start(drop.replace(obstacles=(slope,))), 1)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.scene import FACES, Body, Material, Scene, Wall
+from gns_pl.scene import FACES, Body, Box, Material, Plane, Scene, Wall
 
 SAND: dict[str, Any] = {
     "density": 1800,
@@ -16,6 +16,9 @@ SAND: dict[str, Any] = {
     "poisson_ratio": 0.3,
     "friction_angle_deg": 30,
 }
+
+
+SLIP = Wall("slip")
 
 
 def make(**changes: Any) -> Scene:
@@ -38,6 +41,12 @@ def test_touching_bodies_and_bodies_that_fill_the_box_are_fine() -> None:
     third = 1 / 3
     row = tuple(Body((k * third, 0, 0), (third, 1, 1), (0, 0, 0)) for k in range(3))
     assert len(make(bodies=row).bodies) == 3
+
+
+def test_bodies_may_touch_obstacles_and_reach_into_them() -> None:
+    slope, step = Plane((0, 0, 0.1), (-1, 0, 2), SLIP), Box((0.1, -1, 0.1), (0.2, 2, 0.5), SLIP)
+    assert make(obstacles=[slope, step]).obstacles == (slope, step)
+    assert make(obstacles=(Plane((0, 0, 0), (0, 0, 1), SLIP),))
 
 
 @pytest.mark.parametrize(
@@ -67,6 +76,12 @@ def test_touching_bodies_and_bodies_that_fill_the_box_are_fine() -> None:
         ({"bodies": (Body((0, 0, 0), (0.2, 0.2, 0.2), (0, 0)),)}, "body 0: velocity must have 3 entries"),
         ({"bodies": (Body((0, 0, 0), (0.2, 0.2, 0.2), (0, 0, 0), "clay"),)}, "material 'clay' is not among sand"),
         ({"bodies": (Body((0, 0, 0), (0.3,) * 3, (0, 0, 0)), Body((0.2,) * 3, (0.3,) * 3, (0, 0, 0)))}, "0 and 1 over"),
+        ({"obstacles": (Plane((0, 0), (0, 1), SLIP),)}, "obstacle 0: point must have 3 entries"),
+        ({"obstacles": (Plane((0, 0, 0), (0, 1), SLIP),)}, "obstacle 0: normal must have 3 entries"),
+        ({"obstacles": (Box((0, 0, 0), (0.1, 0.1), SLIP),)}, "obstacle 0: size must have 3 entries"),
+        ({"obstacles": (Box((1, 0, 0), (0.1, 0.1, 0.1), SLIP),)}, "obstacle 0: .* nowhere in the domain"),
+        ({"obstacles": (Plane((0, 0, 0.2), (0, 0, 1), SLIP),)}, "body 0: it lies entirely inside obstacle 0"),
+        ({"obstacles": (Box((0.2, 0, 0), (0.2, 0.2, 0.2), SLIP),)}, "body 1: it lies entirely inside obstacle 0"),
     ],
 )
 def test_scene_refuses(changes: dict[str, Any], sentence: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
-from gns_pl.scene import FACES, Body, Material, Scene, Wall, fill_scene
+from gns_pl.scene import FACES, Body, Box, Material, Plane, Scene, Wall, fill_scene, signed_distance
 
 SANDS = {"light": Material(1000, 1e6, 0.3, 20), "heavy": Material(2000, 1e6, 0.3, 40)}
 
@@ -61,6 +61,38 @@ def test_the_same_seed_gives_the_same_places(two: Scene) -> None:
 
     np.testing.assert_array_equal(fill(1), fill(1))
     assert (fill(1) != fill(2)).any()
+
+
+def test_every_particle_knows_its_place_in_its_bodys_lattice(two: Scene) -> None:
+    particles = fill_scene(two, 0.05)
+    np.testing.assert_array_equal(particles.body == 0, particles.material_name == 1)
+    for index, count in ((0, (6, 4, 2)), (1, (4, 4, 4))):
+        body, mine = two.bodies[index], particles.body == index
+        cell = np.array(body.size) / count
+        np.testing.assert_allclose(particles.position[mine], body.position + (particles.lattice[mine] + 0.5) * cell)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.7])
+def test_obstacles_carve_bodies_and_leave_the_rest_alone(two: Scene, jitter: float) -> None:
+    slope = Plane((0.25, 0.3, 0.05), (1, 0, 2), Wall("slip"))
+    block = Box((0.6, 0.6, 0.0), (0.5, 0.5, 0.62), Wall("slip"))
+    whole, carved = (
+        fill_scene(scene, 0.01, jitter=jitter, generator=np.random.default_rng(3))
+        for scene in (two, two.replace(obstacles=(slope, block)))
+    )
+    free = (signed_distance(slope, whole.position)[0] >= 0) & (signed_distance(block, whole.position)[0] >= 0)
+    assert 0.3 < free.mean() < 0.8
+    for name, values in vars(whole).items():
+        np.testing.assert_array_equal(getattr(carved, name), values[free], err_msg=name)
+    # Half of the first body lies above the slope, and 0.1 · 0.1 · 0.12 m³ of the second in the block.
+    left = [carved.volume[carved.body == index].sum() for index in (0, 1)]
+    assert left == pytest.approx([0.31 * 0.2 * 0.1 / 2, 0.2**3 - 0.1 * 0.1 * 0.12], rel=0.06)
+
+
+def test_bodies_of_which_nothing_is_left_are_refused(two: Scene) -> None:
+    halves = tuple(Box((x, 0, 0), (0.5, 1, 0.3), Wall("slip")) for x in (-0.3, 0.2))
+    with pytest.raises(InputError, match=r"body 0: obstacles leave nothing of it at a spacing of 0\.05 m"):
+        fill_scene(two.replace(obstacles=halves), 0.05)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,18 @@ from typing import Any
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.scene import FACES, Material, Scene, Wall, column_collapse, read_scene, scene_from_dict, write_scene
+from gns_pl.scene import (
+    FACES,
+    Box,
+    Material,
+    Plane,
+    Scene,
+    Wall,
+    column_collapse,
+    read_scene,
+    scene_from_dict,
+    write_scene,
+)
 
 
 def flat() -> Scene:
@@ -25,9 +36,14 @@ def flat() -> Scene:
     )
 
 
+def with_obstacles(scene: Scene) -> Scene:
+    slope = Plane((0, 0, 0.1), (0.3, -0.2, 1), Wall("friction", 0.4))
+    return scene.replace(obstacles=(slope, Box((0.7, 0, 0), (0.1, 1, 0.3), Wall("stick"))))
+
+
 @pytest.mark.parametrize("ending", ["yaml", "json", "yml"])
 def test_files_give_the_scene_back(drop: Scene, column: Scene, tmp_path: Path, ending: str) -> None:
-    for scene in (drop, column, flat()):
+    for scene in (drop, column, flat(), with_obstacles(drop)):
         path = tmp_path / f"scene.{ending}"
         write_scene(scene, path)
         assert read_scene(path) == scene
@@ -37,6 +53,19 @@ def test_dict_is_plain(drop: Scene) -> None:
     data = drop.to_dict()
     assert json.loads(json.dumps(data)) == data
     assert scene_from_dict(data) == drop
+    data = with_obstacles(drop).to_dict()
+    assert json.loads(json.dumps(data)) == data
+    assert scene_from_dict(data) == with_obstacles(drop)
+    assert data["obstacles"][1] == {
+        "kind": "box",
+        "position": [0.7, 0, 0],
+        "size": [0.1, 1, 0.3],
+        "wall": {"condition": "stick", "friction": 0},
+    }
+
+
+def test_scenes_of_old_files_have_no_obstacles(drop: Scene) -> None:
+    assert scene_from_dict(change(drop.to_dict(), "obstacles", ...)) == drop
 
 
 def change(data: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
@@ -69,10 +98,19 @@ def change(data: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
         ("bodies.0.size", ..., "body 0: missing key size"),
         ("bodies.0.radius", 1, "body 0: unknown key radius"),
         ("bodies.0.size", [0.3, 0.3, -0.3], "size must be positive"),
+        ("obstacles", {"a": 1}, "obstacles must be a list"),
+        ("obstacles.0", 3, "obstacle 0 must be a mapping"),
+        ("obstacles.0.kind", "ball", "obstacle 0: kind must be one of plane, box, not 'ball'"),
+        ("obstacles.0.kind", ["box"], "obstacle 0: kind must be one of plane, box"),
+        ("obstacles.0.kind", ..., "obstacle 0: kind must be one of plane, box, not None"),
+        ("obstacles.0.size", [1, 1, 1], "obstacle 0, a plane: unknown key size; known are point, normal, wall"),
+        ("obstacles.1.size", ..., "obstacle 1, a box: missing key size"),
+        ("obstacles.1.wall.mu", 0.1, "obstacle 1: wall: unknown key mu"),
+        ("obstacles.1.wall", "stick", "obstacle 1: wall must be a mapping"),
     ],
 )
 def test_refusals_name_the_key_and_the_file(drop: Scene, tmp_path: Path, place: str, value: Any, sentence: str) -> None:
-    data = change(drop.to_dict(), place, value)
+    data = change(with_obstacles(drop).to_dict(), place, value)
     with pytest.raises(InputError, match=sentence):
         scene_from_dict(data)
     path = tmp_path / "bad.json"

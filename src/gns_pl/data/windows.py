@@ -34,7 +34,7 @@ class WindowDataset(Dataset[Data]):
         in_memory: keep all positions in memory; otherwise each window is read from its file.
 
     Raises:
-        InputError: no file, or one with fewer than two frames.
+        InputError: no file, one with fewer than two frames, or one whose scene has obstacles.
     """
 
     def __init__(
@@ -54,6 +54,8 @@ class WindowDataset(Dataset[Data]):
             trajectory = read_trajectory(path, num_frames=None if in_memory else 1)
             if num_frames < 2:
                 raise InputError(f"{path}: has {num_frames} frame; a window needs at least two.")
+            if trajectory.scene.obstacles:
+                raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
             for frame in range(num_frames - 1):
                 self.index += [(which, frame)] * (start_repeats if frame < input_sequence_length - 1 else 1)
             past = ballistic_history(

@@ -131,6 +131,8 @@ def evaluate(
                 f"scene {name!r} has {scene.dim} dimensions, the simulator of {checkpoint_path} "
                 f"{checkpoint.simulator.config.dim}."
             )
+        if scene.obstacles:  # said here, before minutes of MPM
+            raise InputError(f"scene {name!r} has obstacles, and a learned simulator knows no obstacles yet.")
     _make_folder(out)
     _move(checkpoint, device)
     results, files = {}, []

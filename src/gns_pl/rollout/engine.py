@@ -58,6 +58,8 @@ def rollout(
     config = simulator.config
     if start.scene.dim != config.dim:
         raise InputError(f"this simulator has {config.dim} dimensions, scene {start.scene.name!r} {start.scene.dim}.")
+    if start.scene.obstacles:
+        raise InputError(f"scene {start.scene.name!r} has obstacles, and a learned simulator knows no obstacles yet.")
     if start.material_features[: len(config.material_features)] != config.material_features:
         raise InputError(
             f"this simulator needs the material features {list(config.material_features)}, "

@@ -1,20 +1,24 @@
-"""What is to be simulated, before any discretisation: a box, gravity, materials, bodies, walls and a duration.
+"""What is to be simulated, before any discretisation: a box, gravity, materials, bodies, walls, obstacles, a duration.
 
-`definition` holds the frozen `Scene`, `plain` its form as dicts, YAML and JSON, `catalogue` the standard scenes and
-their random families, `filling` puts particles into bodies. No solver, no network and no file of trajectories is known
-here.
+`definition` holds the frozen `Scene`, `boundaries` walls and obstacles, `plain` its form as dicts, YAML and JSON,
+`catalogue` the standard scenes and their random families, `filling` puts particles into bodies. No solver, no network
+and no file of trajectories is known here.
 """
 
+from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall, signed_distance
 from gns_pl.scene.catalogue import block_release, column_collapse, cube_drop, sample_block_release, sample_cube_drop
-from gns_pl.scene.definition import FACES, Body, Material, Scene, Wall
+from gns_pl.scene.definition import FACES, Body, Material, Scene
 from gns_pl.scene.filling import Particles, fill_scene
 from gns_pl.scene.plain import part_from_dict, read_scene, scene_from_dict, write_scene
 
 __all__ = [
     "FACES",
     "Body",
+    "Box",
     "Material",
+    "Obstacle",
     "Particles",
+    "Plane",
     "Scene",
     "Wall",
     "block_release",
@@ -26,5 +30,6 @@ __all__ = [
     "sample_block_release",
     "sample_cube_drop",
     "scene_from_dict",
+    "signed_distance",
     "write_scene",
 ]

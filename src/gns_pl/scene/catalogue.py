@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gns_pl.errors import InputError
+from gns_pl.scene.boundaries import Wall
 from gns_pl.scene.checks import checked_number, checked_numbers
-from gns_pl.scene.definition import Body, Material, Scene, Wall
+from gns_pl.scene.definition import Body, Material, Scene
 
 
 def cube_drop(

@@ -9,7 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gns_pl.errors import InputError
+from gns_pl.scene.boundaries import Obstacle, Plane, Wall, signed_distance
 from gns_pl.scene.checks import checked_number, checked_numbers
 
 AXES = {2: "xz", 3: "xyz"}
@@ -17,8 +21,6 @@ AXES = {2: "xz", 3: "xyz"}
 
 FACES = {dim: tuple(f"{axis}{side}" for axis in axes for side in "-+") for dim, axes in AXES.items()}
 """Names of the faces of the box by dimension: lower and upper face of each axis in turn."""
-
-WALL_CONDITIONS = ("stick", "slip", "friction")
 
 
 @dataclass(frozen=True)
@@ -71,26 +73,6 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Wall:
-    """What a face of the box does to the material at it.
-
-    Attributes:
-        condition: "stick" (no motion), "slip" (no motion through it) or "friction" (Coulomb).
-        friction: coefficient μ of Coulomb friction; only with "friction".
-    """
-
-    condition: str
-    friction: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.condition not in WALL_CONDITIONS:
-            raise InputError(f"wall: condition must be one of {', '.join(WALL_CONDITIONS)}, not {self.condition!r}.")
-        object.__setattr__(self, "friction", checked_number("wall", "friction", self.friction, 0.0))
-        if self.condition != "friction" and self.friction:
-            raise InputError(f'wall: friction {self.friction} needs condition "friction", not "{self.condition}".')
-
-
-@dataclass(frozen=True)
 class Body:
     """A cuboid of one material.
 
@@ -117,6 +99,11 @@ class Body:
         """Upper corner [D] [m]."""
         return tuple(p + s for p, s in zip(self.position, self.size, strict=True))
 
+    def corners(self) -> NDArray[np.float64]:
+        """Return its corners [2^D, D] [m]."""
+        edges = [np.array(pair) for pair in zip(self.position, self.upper, strict=True)]
+        return np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, len(edges))
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -131,6 +118,7 @@ class Scene:
         materials: name → `Material`.
         bodies: the bodies, none touching another's inside.
         walls: face ("x-", "x+", …, "z+") → `Wall`, every face of the box.
+        obstacles: what stands fixed in the box. Bodies may reach into them and are then carved when they are filled.
 
     Raises:
         InputError: anything inconsistent, in one sentence.
@@ -144,6 +132,7 @@ class Scene:
     materials: Mapping[str, Material]
     bodies: tuple[Body, ...]
     walls: Mapping[str, Wall]
+    obstacles: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name or {"/", "\\", "\0"} & set(self.name):
@@ -157,6 +146,7 @@ class Scene:
         object.__setattr__(self, "gravity", checked_numbers(owner, "gravity", self.gravity, dim))
         object.__setattr__(self, "duration", checked_number(owner, "duration", self.duration, 0.0, above=True))
         object.__setattr__(self, "bodies", tuple(self.bodies))
+        object.__setattr__(self, "obstacles", tuple(self.obstacles))
         if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
             raise InputError(
                 f"{owner}: upper {list(self.upper)} must lie above lower {list(self.lower)} on every axis."
@@ -167,11 +157,22 @@ class Scene:
             )
         if not self.bodies:
             raise InputError(f"{owner}: needs at least one body.")
+        for index, obstacle in enumerate(self.obstacles):
+            self._check_obstacle(f"{owner}, obstacle {index}", obstacle)
         for index, body in enumerate(self.bodies):
             self._check_body(f"{owner}, body {index}", body)
             for other_index, other in enumerate(self.bodies[:index]):
-                if _overlap(body, other):
+                if _overlap(body.position, body.upper, other.position, other.upper):
                     raise InputError(f"{owner}: bodies {other_index} and {index} overlap; move one of them.")
+
+    def _check_obstacle(self, owner: str, obstacle: Obstacle) -> None:
+        for name in ("point", "normal") if isinstance(obstacle, Plane) else ("position", "size"):
+            checked_numbers(owner, name, getattr(obstacle, name), self.dim)
+        if not isinstance(obstacle, Plane) and not _overlap(obstacle.position, obstacle.upper, self.lower, self.upper):
+            raise InputError(
+                f"{owner}: it reaches from {_rounded(obstacle.position)} to {_rounded(obstacle.upper)} and is nowhere "
+                f"in the domain {_rounded(self.lower)} to {_rounded(self.upper)}."
+            )
 
     def _check_body(self, owner: str, body: Body) -> None:
         for name in ("position", "size", "velocity"):
@@ -188,6 +189,9 @@ class Scene:
                 f"{owner}: it reaches from {_rounded(body.position)} to {_rounded(body.upper)}, outside the domain "
                 f"{_rounded(self.lower)} to {_rounded(self.upper)}."
             )
+        for index, obstacle in enumerate(self.obstacles):
+            if (signed_distance(obstacle, body.corners())[0] <= 0).all():  # obstacles are convex
+                raise InputError(f"{owner}: it lies entirely inside obstacle {index}; move one of them.")
 
     @property
     def dim(self) -> int:
@@ -201,6 +205,8 @@ class Scene:
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as plain dicts, lists, numbers and strings; `scene_from_dict` is its inverse."""
         listed: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
+        for obstacle, entry in zip(self.obstacles, listed["obstacles"], strict=True):
+            entry["kind"] = obstacle.kind
         return listed
 
 
@@ -208,7 +214,12 @@ def _rounded(values: tuple[float, ...]) -> list[float]:
     return [round(value, 6) for value in values]
 
 
-def _overlap(a: Body, b: Body) -> bool:
-    """True if the insides of two bodies meet; touching faces do not count."""
+def _overlap(
+    lower: tuple[float, ...], upper: tuple[float, ...], other_lower: tuple[float, ...], other_upper: tuple[float, ...]
+) -> bool:
+    """True if the insides of two cuboids meet; touching faces do not count."""
     gap = 1e-9
-    return all(p + gap < r and q + gap < s for p, s, q, r in zip(a.position, a.upper, b.position, b.upper, strict=True))
+    return all(
+        low + gap < other_high and other_low + gap < high
+        for low, high, other_low, other_high in zip(lower, upper, other_lower, other_upper, strict=True)
+    )

@@ -1,4 +1,4 @@
-"""From bodies to particles: a lattice in every body, optionally jittered."""
+"""From bodies to particles: a lattice in every body, optionally jittered, carved by the obstacles."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
+from gns_pl.scene.boundaries import signed_distance
 from gns_pl.scene.definition import Scene
 
 MAX_PARTICLES = 20_000_000
@@ -27,6 +28,8 @@ class Particles:
         material: [N, K], the features of `fields.MATERIAL_FEATURES`.
         material_name: [N] indices into `tuple(scene.materials)`.
         particle_type: [N] `ParticleType`.
+        body: [N] indices into `scene.bodies`.
+        lattice: [N, D] place in the body's lattice, from 0 along every axis.
     """
 
     position: NDArray[np.float64]
@@ -36,6 +39,8 @@ class Particles:
     material: NDArray[np.float32]
     material_name: NDArray[np.int64]
     particle_type: NDArray[np.int64]
+    body: NDArray[np.int64]
+    lattice: NDArray[np.int64]
 
 
 def fill_scene(
@@ -44,7 +49,8 @@ def fill_scene(
     """Fill every body with a lattice whose spacing comes as near to `spacing` as the body's size allows.
 
     Each body is split into `round(size / spacing)` equal cells per axis (at least one) with a particle in the middle
-    of each, so that the particles' volumes add up to the body's exactly, whatever its size.
+    of each, so that the particles' volumes add up to the body's exactly, whatever its size. Particles that would start
+    inside an obstacle are left out; this changes none of the others.
 
     Args:
         scene: what to fill.
@@ -53,7 +59,8 @@ def fill_scene(
         generator: source of the offsets; needed if `jitter` is not 0.
 
     Raises:
-        InputError: a spacing that is not positive, a jitter outside [0, 1), or more than `MAX_PARTICLES` particles.
+        InputError: a spacing that is not positive, a jitter outside [0, 1), more than `MAX_PARTICLES` particles, or a
+            body of which the obstacles leave nothing.
     """
     if not spacing > 0 or not np.isfinite(spacing):
         raise InputError(f"the particle spacing must be positive, not {spacing}.")
@@ -61,31 +68,49 @@ def fill_scene(
         raise InputError(f"the jitter must lie in [0, 1), not {jitter}.")
     if jitter and generator is None:
         raise InputError("a jitter needs a random generator.")
-    names = list(scene.materials)
     counts = [[max(1, round(size / spacing)) for size in body.size] for body in scene.bodies]
     total = sum(int(np.prod(count, dtype=np.float64)) for count in counts)
     if total > MAX_PARTICLES:
         raise InputError(
             f"scene {scene.name!r} at a spacing of {spacing:g} m would have {total} particles; choose a larger spacing."
         )
-    parts = []
-    for body, count in zip(scene.bodies, counts, strict=True):
+    lattices, positions, volumes = [], [], []
+    for index, (body, count) in enumerate(zip(scene.bodies, counts, strict=True)):
         cell = np.array(body.size) / np.array(count)
-        axes = [np.arange(n) + 0.5 for n in count]
-        lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, scene.dim)
+        lattice = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, scene.dim)
+        offset = lattice + 0.5
         if jitter and generator is not None:
-            lattice = lattice + 0.5 * jitter * generator.uniform(-1, 1, lattice.shape)
-        parts.append((np.array(body.position) + lattice * cell, float(np.prod(cell))))
-    number = [len(position) for position, _ in parts]
-    materials = [scene.materials[body.material] for body in scene.bodies]
-    volume = np.repeat([cell_volume for _, cell_volume in parts], number)
+            offset = offset + 0.5 * jitter * generator.uniform(-1, 1, lattice.shape)
+        position = np.array(body.position) + offset * cell
+        free = _outside_obstacles(scene, position)
+        if not free.any():
+            raise InputError(
+                f"scene {scene.name!r}, body {index}: obstacles leave nothing of it at a spacing of {spacing:g} m; "
+                "move it, or choose a smaller spacing."
+            )
+        lattices.append(lattice[free])
+        positions.append(position[free])
+        volumes.append(float(np.prod(cell)))
+    body_index = np.repeat(np.arange(len(scene.bodies)), [len(position) for position in positions])
+    names, materials = list(scene.materials), [scene.materials[body.material] for body in scene.bodies]
     features = [[getattr(material, name) for name in MATERIAL_FEATURES] for material in materials]
+    volume = np.array(volumes)[body_index]
     return Particles(
-        position=np.concatenate([position for position, _ in parts]),
-        velocity=np.repeat([body.velocity for body in scene.bodies], number, axis=0),
-        mass=volume * np.repeat([material.density for material in materials], number),
+        position=np.concatenate(positions),
+        velocity=np.array([body.velocity for body in scene.bodies])[body_index],
+        mass=volume * np.array([material.density for material in materials])[body_index],
         volume=volume,
-        material=np.repeat(np.array(features, dtype=np.float32), number, axis=0),
-        material_name=np.repeat([names.index(body.material) for body in scene.bodies], number),
-        particle_type=np.full(total, int(ParticleType.SAND), dtype=np.int64),
+        material=np.array(features, dtype=np.float32)[body_index],
+        material_name=np.array([names.index(body.material) for body in scene.bodies])[body_index],
+        particle_type=np.full(len(body_index), int(ParticleType.SAND), dtype=np.int64),
+        body=body_index,
+        lattice=np.concatenate(lattices),
     )
+
+
+def _outside_obstacles(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of the positions [N, D] [m] lie in no obstacle [N]."""
+    free = np.ones(len(position), dtype=bool)
+    for obstacle in scene.obstacles:
+        free &= signed_distance(obstacle, position)[0] >= 0
+    return free

@@ -11,7 +11,11 @@ from typing import Any
 import yaml
 
 from gns_pl.errors import InputError
-from gns_pl.scene.definition import Body, Material, Scene, Wall
+from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall
+from gns_pl.scene.definition import Body, Material, Scene
+
+OBSTACLES: dict[str, type[Obstacle]] = {"plane": Plane, "box": Box}
+"""Kind of obstacle → its class."""
 
 
 def part_from_dict(cls: type, owner: str, data: Any) -> Any:
@@ -42,12 +46,27 @@ def scene_from_dict(data: Mapping[str, Any]) -> Scene:
         if not isinstance(value, Mapping):
             raise InputError(f"scene: {key} must be a mapping, not {type(value).__name__}.")
         parts[key] = {str(name): part_from_dict(cls, f"{key[:-1]} {name!r}", entry) for name, entry in value.items()}
-    bodies = parts.get("bodies", ())
-    if not isinstance(bodies, list | tuple):
-        raise InputError(f"scene: bodies must be a list, not {type(bodies).__name__}.")
-    parts["bodies"] = tuple(part_from_dict(Body, f"body {index}", body) for index, body in enumerate(bodies))
+    for key in ("bodies", "obstacles"):
+        value = parts.setdefault(key, ())
+        if not isinstance(value, list | tuple):
+            raise InputError(f"scene: {key} must be a list, not {type(value).__name__}.")
+    parts["bodies"] = tuple(part_from_dict(Body, f"body {index}", body) for index, body in enumerate(parts["bodies"]))
+    parts["obstacles"] = tuple(_obstacle(f"obstacle {index}", entry) for index, entry in enumerate(parts["obstacles"]))
     scene: Scene = part_from_dict(Scene, "scene", parts)
     return scene
+
+
+def _obstacle(owner: str, data: Any) -> Obstacle:
+    if not isinstance(data, Mapping):
+        raise InputError(f"{owner} must be a mapping of names to values, not {type(data).__name__}.")
+    parts = dict(data)
+    kind = parts.pop("kind", None)
+    if not isinstance(kind, str) or kind not in OBSTACLES:
+        raise InputError(f"{owner}: kind must be one of {', '.join(OBSTACLES)}, not {kind!r}.")
+    if "wall" in parts:
+        parts["wall"] = part_from_dict(Wall, f"{owner}: wall", parts["wall"])
+    obstacle: Obstacle = part_from_dict(OBSTACLES[kind], f"{owner}, a {kind}", parts)
+    return obstacle
 
 
 def read_scene(path: str | Path) -> Scene:
