@@ -39,9 +39,9 @@ def make_case(dim: int, points: int, points_per_direction: int) -> tuple[Scene, 
         cell_size=spacing * points_per_direction,
         points_per_direction=points_per_direction,
         courant=0.3,
-        transfer="flip",
+        transfer="affine_flip",
         damping_rate=20.0,
-        viscosity_time=1e-3,
+        bulk_viscosity=0.3,
         jitter=0.5,
     )
     return scene, config
@@ -55,15 +55,15 @@ def measure(dim: int, points: int, points_per_direction: int, repeats: int, seco
     steps = num_steps_per_frame(scene, config, grid, largest_speed(scene, particles), 0.0025)
     state = make_state(scene, particles, grid, config)
     setting = make_setting(scene, grid, config, 0.0025 / steps)
-    advance(*state, *setting, 1)  # compiles, or loads what was compiled
+    advance(*state, *setting, 1, 1)  # compiles, or loads what was compiled
     number = len(particles.mass)
     started = time.perf_counter()
-    advance(*state, *setting, 20)
+    advance(*state, *setting, 1, 20)
     num_steps = max(1, round(20 * seconds / (time.perf_counter() - started)))
     rates = []
     for _ in range(repeats):
         started = time.perf_counter()
-        advance(*state, *setting, num_steps)
+        advance(*state, *setting, 1, num_steps)
         rates.append(number * num_steps / (time.perf_counter() - started))
     return number, rates
 

@@ -25,9 +25,9 @@ MPM = {
     "cell_size": 0.25,
     "points_per_direction": 2,
     "courant": 0.3,
-    "transfer": "flip",
+    "transfer": "affine_flip",
     "damping_rate": 20,
-    "viscosity_time": 1e-3,
+    "bulk_viscosity": 0.3,
     "jitter": 0.5,
 }
 MATERIAL = {"density": 1800, "youngs_modulus": 2e6, "poisson_ratio": 0.3, "friction_angle_deg": 30, "cohesion": 100}

@@ -24,9 +24,9 @@ def make_mpm(**changes: Any) -> MPMConfig:
         "cell_size": 1 / 12,
         "points_per_direction": 4,
         "courant": 0.3,
-        "transfer": "flip",
+        "transfer": "affine_flip",
         "damping_rate": 20.0,
-        "viscosity_time": 1e-3,
+        "bulk_viscosity": 0.3,
         "jitter": 0.0,
     }
     return MPMConfig(**(values | changes))
@@ -126,8 +126,12 @@ class Points:
         return np.zeros(len(self.mass), dtype=np.int64)
 
     @property
+    def order(self) -> NDArray[np.int32]:
+        return np.arange(len(self.mass), dtype=np.int32)
+
+    @property
     def materials(self) -> NDArray[np.float64]:
-        return material_row(make_sand(cohesion=100.0, tension_cutoff=50.0), 1e-3)[None]
+        return material_row(make_sand(cohesion=100.0, tension_cutoff=50.0), 0.3, 1 / 12)[None]
 
     @property
     def inverse_cell(self) -> tuple[float, float, float]:

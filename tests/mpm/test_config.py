@@ -24,9 +24,9 @@ from tests.mpm.conftest import make_box, make_mpm
         ({"courant": 0.61}, "allow_large_courant"),
         ({"points_per_direction": 0}, "points_per_direction"),
         ({"points_per_direction": 2.5}, "whole"),
-        ({"transfer": "musl"}, "flip, apic, pic"),
+        ({"transfer": "musl"}, "pic, flip, apic, affine_flip"),
         ({"damping_rate": -1.0}, "damping_rate"),
-        ({"viscosity_time": -1.0}, "viscosity_time"),
+        ({"bulk_viscosity": -1.0}, "bulk_viscosity"),
         ({"jitter": 1.0}, "jitter"),
     ],
 )

@@ -23,7 +23,7 @@ ANGLES = pytest.mark.parametrize(("phi", "psi"), [(30.0, 0.0), (30.0, 10.0), (35
 
 
 def row(**changes: Any) -> NDArray[np.float64]:
-    return material_row(make_sand(**changes), 1e-3)
+    return material_row(make_sand(**changes), 0.3, 1 / 12)
 
 
 def step(

@@ -112,7 +112,7 @@ def test_the_more_a_transfer_damps_the_shorter_the_column_runs() -> None:
     body, floor = Body((0.0, 0.0), (0.3, 0.5), (0.0, 0.0)), Wall("friction", 0.385)
     scene = make_box((1.5, 0.6), body, duration=0.9, lower_z=floor)
     front = {}
-    for transfer in ("pic", "apic", "flip"):
+    for transfer in ("pic", "apic", "affine_flip"):
         run = simulate(scene, make_mpm(transfer=transfer), frame_interval=0.01)
         front[transfer] = np.quantile(run.position[-1][:, 0], 0.99)
-    assert 0.3 < front["pic"] < 0.5 < front["apic"] < front["flip"] < 1.4
+    assert 0.3 < front["pic"] < 0.5 < front["apic"] < front["affine_flip"] < 1.4

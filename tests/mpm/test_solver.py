@@ -21,7 +21,7 @@ def in_air(dim: int, **changes: Any) -> Scene:
 
 
 @DIMS
-@pytest.mark.parametrize("transfer", ["flip", "apic", "pic"])
+@pytest.mark.parametrize("transfer", ["affine_flip", "flip", "apic", "pic"])
 def test_free_fall_is_exact(dim: int, transfer: str) -> None:
     run = simulate(in_air(dim), make_mpm(transfer=transfer, jitter=0.7), frame_interval=0.0025)
     gravity, dt = np.array(run.scene.gravity), run.provenance["time_step"]
@@ -45,7 +45,6 @@ def test_frames_types_and_provenance(dim: int) -> None:
     assert told["seed"] == 3
     assert told["config"]["courant"] == 0.3  # type: ignore[index]
     assert told["num_steps"] * told["time_step"] == pytest.approx(0.1)  # type: ignore[operator]
-    assert told["num_put_back"] == 0
 
 
 @DIMS
@@ -89,7 +88,7 @@ def test_an_elastic_bar_oscillates_at_its_frequency(dim: int, axis: int) -> None
         gravity=(0.0,) * dim,
         wall=Wall("stick"),
     )
-    config = make_mpm(cell_size=1 / 24, points_per_direction=2, damping_rate=0.0, viscosity_time=0.0)
+    config = make_mpm(cell_size=1 / 24, points_per_direction=2, damping_rate=0.0, bulk_viscosity=0.0)
     run = simulate(scene, config, frame_interval=period / 200)
     moved = (run.position - run.position[0])[..., axis].mean(axis=1)
     down = np.flatnonzero((moved[:-1] > 0) & (moved[1:] <= 0))
@@ -133,7 +132,9 @@ def test_two_materials_keep_their_properties() -> None:
 
 def test_an_unstable_run_is_stopped_and_told() -> None:
     scene = make_box((1.0, 1.0), Body((0.0, 0.0), (0.3, 0.5), (0.0, 0.0)), duration=3.0)
-    with pytest.raises(SimulationError, match=r"'box'.*unstable at .* s.*courant 12"):
+    with pytest.raises(
+        SimulationError, match=r"'box'.*unstable: .* in step \d+ at .* s, point \d+ at \(.*\) m \(courant 12"
+    ):
         simulate(scene, make_mpm(courant=12, allow_large_courant=True), frame_interval=0.2)
 
 

@@ -8,21 +8,23 @@ from gns_pl.mpm.shape import axis_shape
 from gns_pl.mpm.transfer import WALL_MARGIN, grid_to_points, keep_inside, points_to_grid
 from tests.mpm.conftest import LAYERS, Points, make_points
 
+NO_OBSTACLES = np.zeros((0, 8))
 DIMS = pytest.mark.parametrize("dim", [2, 3])
 
 
 def to_grid(points: Points, *, affine_fraction: float = 1.0, dt: float = 1e-3) -> None:
     points_to_grid(
-        points.position, points.velocity, points.affine, points.stress, points.mass, points.volume,
-        points.index, points.materials, points.grid, points.gap, points.cells, points.nodes,
-        points.inverse_cell, LAYERS[points.dim], affine_fraction, dt,
+        0, len(points.mass), points.order, points.position, points.velocity, points.affine, points.stress,
+        points.mass, points.volume, points.index, points.materials, points.grid, points.gap, points.cells, points.nodes,
+        points.inverse_cell, NO_OBSTACLES, LAYERS[points.dim], affine_fraction, dt,
     )  # fmt: skip
 
 
 def to_points(points: Points, *, flip_fraction: float, dt: float = 0.0) -> int:
     put_back: int = grid_to_points(
-        points.position, points.velocity, points.affine, points.stress, points.index, points.materials,
-        points.grid, points.cells, points.nodes, points.inverse_cell, LAYERS[points.dim], flip_fraction, dt,
+        0, len(points.mass), points.position, points.velocity, points.affine, points.stress,
+        points.index, points.materials, points.grid, points.cells, points.nodes, points.inverse_cell,
+        NO_OBSTACLES, LAYERS[points.dim], flip_fraction, dt,
     )  # fmt: skip
     return put_back
 
@@ -156,6 +158,8 @@ def test_the_gap_of_a_wall_node_is_that_of_the_nearest_point() -> None:
 
 def test_coordinates_stay_inside_and_nan_does_not_become_an_address() -> None:
     assert keep_inside(-0.5, 5) == (WALL_MARGIN, 1)
-    assert keep_inside(5.0, 5) == (5 - WALL_MARGIN, 1)
+    assert keep_inside(5.1, 5) == (5 - WALL_MARGIN, 1)
+    assert keep_inside(5.0, 5) == (5 - WALL_MARGIN, 0)
     assert keep_inside(2.5, 5) == (2.5, 0)
+    assert keep_inside(0.5 * WALL_MARGIN, 5) == (WALL_MARGIN, 0)
     assert keep_inside(float("nan"), 5) == (WALL_MARGIN, 1)

@@ -1,44 +1,98 @@
-"""The decorator of every compiled function here: numba's `njit`, with a cache that knows all sources of this room.
+"""The decorator of every kernel of this room, and the variants that are made of one source.
 
-numba's own cache looks at the file of the function called, not at those of the functions it calls: after an edit of
-`constitutive.py` a cached `advance` of `grid.py` would go on with the old law, silently. So the cache lies in a folder
-named by a hash over all sources of the room.
+`compiled` is numba's `njit` with a cache that knows all sources of the room: numba's own looks at the file of the
+function called, not at those of the functions it calls, so that after an edit of `constitutive.py` a cached `advance`
+would go on with the old law, silently. Here the cache lies in a folder named by a hash over all sources.
+
+A kernel is written once, for quadratic shape functions in double precision on the CPU. `variant` makes the others: it
+copies the function with another namespace, in which names mean something else (`axis_shape` the linear shape
+functions, `real` and every float constant single precision, `add` an atomic addition on a GPU), and does the same with
+every kernel it calls.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numba
+import numpy as np
+from numba.core.dispatcher import Dispatcher
 
 FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 """Everything of fastmath that keeps NaN and infinity meaningful: a failed run must be seen to fail."""
 
 
-def _cache_folder() -> str:
+def _cache_folder() -> Path:
     """Folder of compiled code: in NUMBA_CACHE_DIR if that is set, else in this package's `__pycache__`."""
     here = Path(__file__).parent
     digest = hashlib.sha256()
     for source in sorted(here.glob("*.py")):
         digest.update(source.name.encode() + source.read_bytes())
     parent = Path(numba.config.CACHE_DIR or here / "__pycache__")
-    return str(parent / f"mpm-{digest.hexdigest()[:12]}")
+    return parent / f"mpm-{digest.hexdigest()[:12]}"
 
 
 _FOLDER = _cache_folder()
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], name: str = "", *, parallel: bool = False) -> Any:
     """Compile a module-level function with `njit`: cached, without the GIL, NaN kept.
 
     If the folder of the cache cannot be written, numba falls back on its own places.
+
+    Args:
+        function: to compile.
+        name: of its variant; each has a folder of its own, since numba tells functions apart by their code alone.
+        parallel: let `prange` run on several threads.
     """
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _FOLDER  # read when the decorator runs, so it can be put back at once
+    numba.config.CACHE_DIR = str(_FOLDER / name)  # read when the decorator runs, so it can be put back at once
     try:
-        return numba.njit(cache=True, nogil=True, fastmath=FASTMATH)(function)
+        return numba.njit(cache=True, nogil=True, fastmath=FASTMATH, parallel=parallel)(function)
     finally:
         numba.config.CACHE_DIR = before
+
+
+def variant(
+    kernel: Any, precision: str, names: Mapping[str, Any], compile_function: Callable[[Callable[..., Any]], Any]
+) -> Any:
+    """Return a kernel made of the same source under another meaning of names, with all kernels that it calls.
+
+    Args:
+        kernel: made by `compiled`.
+        precision: "float64" or "float32"; with the latter every float constant is a float32, and so is `real`.
+        names: global names of the kernels → what they mean here.
+        compile_function: makes a kernel of a Python function.
+    """
+    done: dict[Any, Any] = {}
+
+    def copy(dispatcher: Any) -> Any:
+        if dispatcher not in done:
+            function = dispatcher.py_func
+            namespace = {name: _translated(value, precision) for name, value in function.__globals__.items()}
+            code = function.__code__
+            for name in set(code.co_names) & set(namespace):
+                meant = names.get(name, namespace[name])
+                namespace[name] = copy(meant) if isinstance(meant, Dispatcher) else meant
+            code = code.replace(co_consts=tuple(_translated(value, precision) for value in code.co_consts))
+            again = FunctionType(code, namespace, function.__name__, function.__defaults__)
+            again.__qualname__, again.__module__ = function.__qualname__, function.__module__
+            done[dispatcher] = compile_function(again)
+        return done[dispatcher]
+
+    return copy(kernel)
+
+
+def _translated(value: Any, precision: str) -> Any:
+    """A constant in the precision wanted; everything else as it is."""
+    if precision == "float64":
+        return value
+    if value is np.float64:
+        return np.float32
+    if isinstance(value, tuple):
+        return tuple(_translated(item, precision) for item in value)
+    return np.float32(value) if type(value) is float else value

@@ -11,7 +11,12 @@ COURANT_LIMIT = 0.6
 """Largest Courant number that is accepted unasked. Up to it the runout of a column changes by less than 1 %; beyond
 about 1 it drifts, by 10 % at 1.9, without a sign of failure (docs/reference.md)."""
 
-TRANSFERS = ("flip", "apic", "pic")
+TRANSFERS = {"pic": (0.0, 0.0), "flip": (0.0, 1.0), "apic": (1.0, 0.0), "affine_flip": (1.0, 1.0)}
+"""Transfer → which part of the affine momentum points give to the grid, and which part of their own velocity they keep
+when they get the grid's change."""
+
+SHAPES = ("quadratic", "linear")
+PRECISIONS = ("float64", "float32")
 
 
 class SimulationError(InputError):
@@ -27,12 +32,19 @@ class MPMConfig:
             every wall lies on grid nodes.
         points_per_direction: material points along each edge of a cell.
         courant: time step over `cell_size` / (P-wave speed + largest expected speed).
-        transfer: "flip" (affine FLIP with a damping rate), "apic" or "pic"; the last two damp per step, so they
-            freeze as the time step goes to zero.
+        transfer: "affine_flip", "flip", "apic" or "pic". The last two damp per step, so they freeze as the time step
+            goes to zero; "apic" with moving-least-squares gradients is MLS-MPM.
         damping_rate: rate at which the FLIP velocity of a point goes over to the grid's [1/s]: the FLIP fraction of
-            a step is exp(−rate · dt). Only for "flip".
-        viscosity_time: τ of the bulk viscosity, pressure −τ K div v of points in contact [s].
+            a step is exp(−rate · dt). Only for the FLIP transfers.
+        bulk_viscosity: b of the pressure −b ρ c h div v in points in contact, c the P-wave speed and h the cell; it
+            vanishes with the cell.
         jitter: largest random offset of a point from its lattice place, in halves of the spacing, in [0, 1).
+        flip_fraction: blend per step of FLIP (1) and PIC or APIC (0), besides the damping rate. Only for the FLIP
+            transfers, and only for comparison with codes that blend so: it damps the more the smaller the step.
+        local_damping: Cundall's, as codes from statics have it: part of the force on a node that is taken off where it
+            speeds the node up and added where it slows it down, gravity included: free fall is slowed too.
+        shape: shape functions, "quadratic" or "linear".
+        precision: "float64" or "float32", of arrays and arithmetic.
         allow_large_courant: accept a Courant number above `COURANT_LIMIT`.
 
     Raises:
@@ -44,23 +56,31 @@ class MPMConfig:
     courant: float
     transfer: str
     damping_rate: float
-    viscosity_time: float
+    bulk_viscosity: float
     jitter: float
+    flip_fraction: float = 1.0
+    local_damping: float = 0.0
+    shape: str = "quadratic"
+    precision: str = "float64"
     allow_large_courant: bool = False
 
     def __post_init__(self) -> None:
         for name in ("cell_size", "courant"):
             object.__setattr__(self, name, checked_number("mpm", name, getattr(self, name), 0.0, above=True))
-        for name in ("damping_rate", "viscosity_time", "jitter"):
+        for name in ("damping_rate", "bulk_viscosity", "jitter", "flip_fraction", "local_damping"):
             object.__setattr__(self, name, checked_number("mpm", name, getattr(self, name), 0.0))
-        if self.jitter >= 1:
-            raise InputError(f"mpm: jitter must lie in [0, 1), not {self.jitter}.")
+        for name in ("jitter", "local_damping"):
+            if getattr(self, name) >= 1:
+                raise InputError(f"mpm: {name} must lie in [0, 1), not {getattr(self, name)}.")
         points = checked_number("mpm", "points_per_direction", self.points_per_direction, 1.0)
         if points != int(points):
             raise InputError(f"mpm: points_per_direction must be a whole number, not {self.points_per_direction}.")
         object.__setattr__(self, "points_per_direction", int(points))
-        if self.transfer not in TRANSFERS:
-            raise InputError(f"mpm: transfer must be one of {', '.join(TRANSFERS)}, not {self.transfer!r}.")
+        for name, known in (("transfer", TRANSFERS), ("shape", SHAPES), ("precision", PRECISIONS)):
+            if getattr(self, name) not in known:
+                raise InputError(f"mpm: {name} must be one of {', '.join(known)}, not {getattr(self, name)!r}.")
+        if self.flip_fraction > 1:
+            raise InputError(f"mpm: flip_fraction must lie in [0, 1], not {self.flip_fraction}.")
         if self.courant > COURANT_LIMIT and not self.allow_large_courant:
             raise InputError(
                 f"mpm: courant {self.courant:g} is above the limit of {COURANT_LIMIT:g}; choose a smaller one or set "

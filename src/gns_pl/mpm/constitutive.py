@@ -39,12 +39,13 @@ SHEAR, BULK, FRICTION_SLOPE, COHESION_INTERCEPT, DILATION_SLOPE, TENSION, VISCOS
 """Columns of the material table."""
 
 
-def material_row(material: Material, viscosity_time: float) -> NDArray[np.float64]:
+def material_row(material: Material, bulk_viscosity: float, cell: float) -> NDArray[np.float64]:
     """Return the constants of a material [7] in the order of the columns above (Pa, Pa, 1, Pa, 1, Pa, Pa s).
 
     Args:
         material: from the scene.
-        viscosity_time: τ of the bulk viscosity τ K [s].
+        bulk_viscosity: b of the bulk viscosity b ρ c h.
+        cell: h, the edge of a grid cell [m].
     """
     shear = material.youngs_modulus / (2 * (1 + material.poisson_ratio))
     bulk = material.youngs_modulus / (3 * (1 - 2 * material.poisson_ratio))
@@ -55,7 +56,8 @@ def material_row(material: Material, viscosity_time: float) -> NDArray[np.float6
     slope, intercept = math.sin(phi) / match, material.cohesion * math.cos(phi) / match
     # The cone ends at its apex k / q (c / tan φ): no mean tension beyond it can be carried.
     tension = min(material.tension_cutoff, intercept / slope) if slope > 0 else material.tension_cutoff
-    return np.array([shear, bulk, slope, intercept, dilation, tension, viscosity_time * bulk])
+    viscosity = bulk_viscosity * material.density * material.p_wave_speed * cell
+    return np.array([shear, bulk, slope, intercept, dilation, tension, viscosity])
 
 
 @compiled
@@ -66,7 +68,7 @@ def total_pressure(pressure, divergence, tension, viscosity):
         pressure: stored signed pressure [Pa].
         divergence: div v at the point [1/s].
         tension: tension cut-off [Pa].
-        viscosity: bulk viscosity τ K [Pa s].
+        viscosity: bulk viscosity b ρ c h [Pa s].
     """
     if pressure <= -tension:
         return -tension

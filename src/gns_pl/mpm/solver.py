@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 import gns_pl
 from gns_pl.errors import InputError
-from gns_pl.mpm.config import MPMConfig, SimulationError
+from gns_pl.mpm.config import TRANSFERS, MPMConfig, SimulationError
 from gns_pl.scene import FACES, Particles, Scene, fill_scene
 from gns_pl.trajectory import Trajectory, start_trajectory
 
@@ -82,45 +84,113 @@ def num_steps_per_frame(scene: Scene, config: MPMConfig, grid: Grid, speed: floa
     """Return the whole number of steps in a frame, at least `MIN_STEPS_PER_FRAME`.
 
     The step is the smaller of two: the Courant number asked for, on P-wave plus point speed; and a Courant number of 1
-    on the P-wave speed raised by what the bulk viscosity adds to the stiffness of a cell, c (ξ + √(1 + ξ²)) with
-    ξ = τ c K / (M h), a damped oscillator's stability limit. The second one acts on fine grids only.
+    on the P-wave speed raised by what the bulk viscosity adds to the stiffness of a cell, c (b + √(1 + b²)), a damped
+    oscillator's stability limit.
     """
     cell = min(grid.cell[axis] for axis in grid.axes)
+    stiffer = config.bulk_viscosity + math.sqrt(1 + config.bulk_viscosity**2)
     step = math.inf
     for body in scene.bodies:
-        material = scene.materials[body.material]
-        wave = material.p_wave_speed
-        ratio = (1 + material.poisson_ratio) / (3 * (1 - material.poisson_ratio))  # K / M
-        xi = config.viscosity_time * wave * ratio / cell
-        limit = max(config.courant, 1.0) * cell / (wave * (xi + math.sqrt(1 + xi * xi)) + speed)
+        wave = scene.materials[body.material].p_wave_speed
+        limit = max(config.courant, 1.0) * cell / (wave * stiffer + speed)
         step = min(step, config.courant * cell / (wave + speed), limit)
     return max(MIN_STEPS_PER_FRAME, math.ceil(frame_interval / step * (1 - 1e-9)))
 
 
+@dataclass(frozen=True)
+class Plan:
+    """How a scene will be run.
+
+    Attributes:
+        scene: that is run.
+        config: with these settings.
+        grid: on this grid.
+        speed: largest that is expected [m/s].
+        steps: in a frame.
+        dt: time step [s].
+        num_frames: to keep.
+    """
+
+    scene: Scene
+    config: MPMConfig
+    grid: Grid
+    speed: float
+    steps: int
+    dt: float
+    num_frames: int
+
+    @property
+    def speed_limit(self) -> float:
+        """Speed beyond which a run has failed [m/s]."""
+        return MAX_SPEED_RATIO * self.speed + 1e-6
+
+    def place(self, position: NDArray[Any]) -> NDArray[np.float64]:
+        """Positions in metres [N, D] of positions in cells [N, 3]."""
+        axes = list(self.grid.axes)
+        return np.asarray(np.array(self.grid.lower)[axes] + position[:, axes] * np.array(self.grid.cell)[axes])
+
+    def provenance(self, seed: int) -> dict[str, object]:
+        """What a trajectory says about its making."""
+        return {
+            "solver": "gns_pl.mpm",
+            "version": gns_pl.__version__,
+            "config": asdict(self.config),
+            "seed": seed,
+            "time_step": self.dt,
+            "num_steps": self.steps * (self.num_frames - 1),
+            "cell": [self.grid.cell[axis] for axis in self.grid.axes],
+        }
+
+
+def make_plan(scene: Scene, particles: Particles, config: MPMConfig, frame_interval: float) -> Plan:
+    """Choose grid and time step of a run.
+
+    Raises:
+        InputError: cells that do not fit the box.
+    """
+    grid = make_grid(scene, config.cell_size)
+    speed = largest_speed(scene, particles)
+    steps = num_steps_per_frame(scene, config, grid, speed, frame_interval)
+    num_frames = round(scene.duration / frame_interval) + 1
+    return Plan(scene, config, grid, speed, steps, frame_interval / steps, num_frames)
+
+
 def make_state(scene: Scene, particles: Particles, grid: Grid, config: MPMConfig) -> tuple[NDArray[Any], ...]:
-    """Return what changes from step to step, and the points' constants: the first ten arguments of `grid.advance`."""
+    """Return what changes from step to step, and the points' constants: the first arguments of `grid.advance_steps`."""
     from gns_pl.mpm.constitutive import material_row
+    from gns_pl.mpm.grid import BLOCK
 
     number, axes, num_nodes = len(particles.position), list(grid.axes), math.prod(grid.nodes)
+    cell = min(grid.cell[axis] for axis in axes)
     position, velocity = np.zeros((number, 3)), np.zeros((number, 3))
     position[:, axes] = (particles.position - np.array(grid.lower)[axes]) / np.array(grid.cell)[axes]
     velocity[:, axes] = particles.velocity
-    return (
+    materials = [material_row(material, config.bulk_viscosity, cell) for material in scene.materials.values()]
+    floating = (
         position,
         velocity,
         np.zeros((number, 9)),  # affine
         np.zeros((number, 7)),  # stress
         particles.mass,
         particles.volume,
+    )
+    num_blocks = (grid.cells[0] // BLOCK + 1) * (grid.cells[1] // BLOCK + 1)
+    real = np.dtype(config.precision)
+    return (
+        *(array.astype(real) for array in floating),
         particles.material_name,
-        np.stack([material_row(material, config.viscosity_time) for material in scene.materials.values()]),
-        np.zeros((num_nodes, 8)),  # grid
-        np.full((num_nodes, 3), math.inf),  # gap
+        np.stack(materials).astype(real),
+        np.zeros((num_nodes, 8), dtype=real),  # grid
+        np.full((num_nodes, 3 + len(scene.obstacles)), math.inf, dtype=real),  # gap
+        np.arange(number, dtype=np.int32),  # order
+        np.zeros(number, dtype=np.int32),  # block
+        np.zeros(num_blocks + 1, dtype=np.int32),  # start
     )
 
 
 def make_setting(scene: Scene, grid: Grid, config: MPMConfig, dt: float) -> tuple[Any, ...]:
-    """Return what stays the same over all steps: the other arguments of `grid.advance` up to `dt`."""
+    """Return what stays the same over all steps: the other arguments of `grid.advance_steps` up to `dt`."""
+    from gns_pl.mpm.obstacles import obstacle_table
     from gns_pl.mpm.walls import STICK
 
     gravity, friction = [0.0, 0.0, 0.0], np.zeros((3, 2))
@@ -130,17 +200,21 @@ def make_setting(scene: Scene, grid: Grid, config: MPMConfig, dt: float) -> tupl
         for side in (0, 1):
             wall = scene.walls[faces[2 * number + side]]
             friction[axis, side] = STICK if wall.condition == "stick" else wall.friction
+    affine_fraction, own = TRANSFERS[config.transfer]
+    real = np.dtype(config.precision).type
     return (
         grid.cells,
         grid.nodes,
-        tuple(1.0 / edge for edge in grid.cell),
-        tuple(gravity),
-        friction,
-        tuple(0.5 * config.spacing / edge for edge in grid.cell),
+        tuple(real(1.0 / edge) for edge in grid.cell),
+        tuple(real(part) for part in gravity),
+        friction.astype(real),
+        tuple(real(0.5 * config.spacing / edge) for edge in grid.cell),
+        obstacle_table(scene, grid.lower, grid.axes).astype(real),
         (0,) if scene.dim == 2 else (0, 1, 2),
-        0.0 if config.transfer == "pic" else 1.0,
-        math.exp(-config.damping_rate * dt) if config.transfer == "flip" else 0.0,
-        dt,
+        real(affine_fraction),
+        real(own * config.flip_fraction * math.exp(-config.damping_rate * dt)),
+        real(config.local_damping),
+        real(dt),
     )
 
 
@@ -151,10 +225,11 @@ def simulate(
     frame_interval: float,
     seed: int = 0,
     on_frame: Callable[[int, int], None] | None = None,
+    num_threads: int = 1,
 ) -> Trajectory:
     """Run `scene` from its start over its duration.
 
-    One thread; the kernels release the GIL. The same arguments give the same bits on the same machine.
+    The kernels release the GIL. The same arguments give the same bits on the same machine, whatever `num_threads`.
 
     Args:
         scene: what to simulate, in two or three dimensions.
@@ -162,53 +237,93 @@ def simulate(
         frame_interval: time between the frames kept [s].
         seed: of the generator that draws the jitter of the points.
         on_frame: called after every frame with its index (from 0) and the number of frames.
+        num_threads: threads that share a step; worth it from some 10,000 points on.
 
     Returns:
         round(duration / frame_interval) + 1 frames.
 
     Raises:
-        InputError: a frame interval that is not positive, or cells that do not fit the box.
-        SimulationError: velocities that are not finite or far above what the scene's energy allows.
+        InputError: a frame interval that is not positive, cells that do not fit the box, or too many threads.
+        SimulationError: velocities that are not finite or far above what the scene's energy allows, or a point that
+            left the box; the message says when and where.
     """
-    from gns_pl.mpm.grid import advance  # here, so that importing the room stays light
-
     if not (math.isfinite(frame_interval) and frame_interval > 0):
         raise InputError(f"mpm: frame_interval must be a positive number, not {frame_interval}.")
-    grid = make_grid(scene, config.cell_size)
     particles = fill_scene(scene, config.spacing, jitter=config.jitter, generator=np.random.default_rng(seed))
-    speed = largest_speed(scene, particles)
-    steps = num_steps_per_frame(scene, config, grid, speed, frame_interval)
-    dt = frame_interval / steps
-    num_frames = round(scene.duration / frame_interval) + 1
-
-    state = make_state(scene, particles, grid, config)
-    setting = make_setting(scene, grid, config, dt)
-    position, velocity = state[:2]
-    axes = list(grid.axes)
-    cell, lower = np.array(grid.cell)[axes], np.array(grid.lower)[axes]
-    frames = np.empty((num_frames, len(position), scene.dim), dtype=np.float32)
-    put_back = 0
-    for frame in range(num_frames):
-        if frame > 0:
-            put_back += advance(*state, *setting, steps)
-            fastest = math.sqrt(np.square(velocity).sum(axis=1).max())
-            if not fastest <= MAX_SPEED_RATIO * speed + 1e-6:  # NaN comes here too
-                raise SimulationError(
-                    f"scene {scene.name!r}: the simulation is unstable at {frame * frame_interval:.6g} s, with a speed "
-                    f"of {fastest:.3g} m/s where about {speed:.3g} m/s can be reached (courant {config.courant:g}, "
-                    f"time step {dt:.3g} s); choose a smaller courant."
-                )
-        frames[frame] = lower + position[:, axes] * cell
-        if on_frame is not None:
-            on_frame(frame, num_frames)
-    provenance: dict[str, object] = {
-        "solver": "gns_pl.mpm",
-        "version": gns_pl.__version__,
-        "config": asdict(config),
-        "seed": seed,
-        "time_step": dt,
-        "num_steps": steps * (num_frames - 1),
-        "cell": [grid.cell[axis] for axis in axes],
-        "num_put_back": int(put_back),
-    }
+    plan = make_plan(scene, particles, config, frame_interval)
+    state = make_state(scene, particles, plan.grid, config)
+    setting = make_setting(scene, plan.grid, config, plan.dt)
+    frames = np.empty((plan.num_frames, len(particles.position), scene.dim), dtype=np.float32)
+    with _advance(config, num_threads) as advance:
+        for frame in range(plan.num_frames):
+            if frame > 0:
+                before = [array.copy() for array in state[:4]]
+                left = advance(*state, *setting, num_threads, plan.steps)
+                if left or not _fastest(state[1]) <= plan.speed_limit:  # NaN comes here too
+                    state = (*before, *state[4:])
+                    raise _failure(plan, (frame - 1) * plan.steps, state, partial(advance, *state, *setting, 1, 1))
+            frames[frame] = plan.place(state[0])
+            if on_frame is not None:
+                on_frame(frame, plan.num_frames)
+    provenance = plan.provenance(seed) | {"device": "cpu", "num_threads": num_threads}
     return replace(start_trajectory(scene, particles, frame_interval, provenance), position=frames)
+
+
+@contextmanager
+def _advance(config: MPMConfig, num_threads: int) -> Iterator[Callable[..., int]]:
+    """Give the kernel of `config`, and `num_threads` to numba as long as it is used."""
+    import numba
+
+    from gns_pl.mpm.grid import make_advance
+
+    most = numba.config.NUMBA_NUM_THREADS
+    if not 1 <= num_threads <= most:
+        raise InputError(f"mpm: num_threads must lie between 1 and {most}, not {num_threads}.")
+    advance = make_advance(config.shape, config.precision, num_threads > 1)
+    if num_threads == 1:
+        yield advance
+        return
+    before = numba.get_num_threads()
+    numba.set_num_threads(num_threads)
+    try:
+        yield advance
+    finally:
+        numba.set_num_threads(before)
+
+
+def _fastest(velocity: NDArray[Any]) -> float:
+    return math.sqrt(np.square(velocity, dtype=np.float64).sum(axis=1).max())
+
+
+def _failure(plan: Plan, steps: int, state: tuple[NDArray[Any], ...], make_step: Callable[[], int]) -> SimulationError:
+    """Go step by step through the frame that failed, and tell when and where it did.
+
+    Args:
+        plan: of the run.
+        steps: made before.
+        state: before that frame, which `make_step` changes in place.
+        make_step: makes one step and returns the number of coordinates put back.
+    """
+    position, velocity = state[:2]
+    left, made = 0, 0
+    while made < plan.steps:
+        before = position.copy()
+        left = make_step()
+        made += 1
+        if left or not _fastest(velocity) <= plan.speed_limit:
+            break
+    speed = np.sqrt(np.square(velocity, dtype=np.float64).sum(axis=1))
+    broken = ~np.isfinite(speed)
+    if broken.any():
+        point, what = int(broken.argmax()), "a velocity is not finite"
+    elif left:
+        point, what = int(np.abs(position - before).max(axis=1).argmax()), "a point left the domain"
+    else:
+        point = int(speed.argmax())
+        what = f"a point moves at {speed[point]:.3g} m/s where about {plan.speed:.3g} m/s can be reached"
+    where = ", ".join(f"{value:.3g}" for value in plan.place(before)[point])
+    return SimulationError(
+        f"scene {plan.scene.name!r}: the simulation is unstable: {what} in step {steps + made} at "
+        f"{(steps + made) * plan.dt:.6g} s, point {point} at ({where}) m (courant {plan.config.courant:g}, time step "
+        f"{plan.dt:.3g} s); choose a smaller courant."
+    )

@@ -15,7 +15,9 @@ mass         [N]       [kg]
 volume       [N]       at the start [m³]; the stress is taken per initial volume, its change is below 1 %
 grid         [M, 8]    p2g: momentum (0–2), mass (3), impulse of the stresses (4–6);
                        after `move_nodes`: velocity (0–2), mass, change of velocity (4–6)
-gap          [M, 3]    per axis, smallest distance of a point around a wall node from that wall, in cells
+gap          [M, 3+O]  per axis, smallest distance of a point around a wall node from that wall [cells], then per
+                       obstacle, smallest distance of a point around a node from it [m]
+order        [N]       the order in which points are taken: sorted by blocks of cells (`grid.sort_points`)
 ===========  ========  ====================================================================================
 
 ==================================================================  ==================
@@ -33,23 +35,44 @@ C_p = Σ_i v_i ⊗ g_ip, x_p ← x_p + dt Σ_i w_ip v_i                   `grid_
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+import numpy as np
+
 from gns_pl.mpm.compiled import compiled
 from gns_pl.mpm.constitutive import total_pressure, update_stress
-from gns_pl.mpm.shape import approach_wall, axis_shape, pick
+from gns_pl.mpm.obstacles import approach_obstacle, signed_distance
+from gns_pl.mpm.shape import WALL_REACH, approach_wall, axis_shape, pick
+
+real = np.float64
 
 WALL_MARGIN = 1e-3
-"""Points are kept this far from a wall, in cells. `shape.approach_wall` does not carry a point through a wall at any
-accepted time step, so hardly any is ever put back; `grid_to_points` counts them."""
+"""Points are kept this far from a wall, in cells."""
+
+OBSTACLE_REACH = 2.6
+"""Points farther than this from an obstacle [cells] see no node inside it: 1.5 √3."""
+
+
+@compiled
+def add(array, row, column, value):
+    """Add to one entry; on a GPU, where many points do at once, an atomic addition stands here."""
+    array[row, column] += value
+
+
+@compiled
+def lower(array, row, column, value):
+    """Lower one entry to `value` if it is larger; on a GPU atomic."""
+    array[row, column] = min(array[row, column], value)
 
 
 @compiled
 def points_to_grid(
-    position, velocity, affine, stress, mass, volume, material_index, materials,
-    grid, gap, cells, nodes, inverse_cell, layers, affine_fraction, dt,
+    first, last, order, position, velocity, affine, stress, mass, volume, material_index, materials,
+    grid, gap, cells, nodes, inverse_cell, obstacles, layers, affine_fraction, dt,
 ):  # fmt: skip
-    """Add mass, momentum and stress impulse of all points to `grid` and note the nearest point of every wall node.
+    """Add mass, momentum and stress impulse of points to `grid` and note the nearest point of every wall node.
 
     Args:
+        first, last: of the points `order[first:last]`.
+        order: see above.
         position, velocity, affine, stress, mass, volume: points, see above.
         material_index: [N] row of `materials`.
         materials: [_, 7] from `constitutive.material_row`.
@@ -57,13 +80,16 @@ def points_to_grid(
         cells: (nx, ny, nz) cells per axis.
         nodes: (nx, ny, nz) nodes per axis.
         inverse_cell: (x, y, z) one over the cell's edges [1/m].
+        obstacles: [O, 8] from `obstacles.obstacle_table`.
         layers: (0, 1, 2) or (0,), see above.
         affine_fraction: 1, or 0 for PIC, whose momentum has no affine part.
         dt: time step [s].
     """
     ihx, ihy, ihz = inverse_cell
     ny, nz = nodes[1], nodes[2]
-    for p in range(position.shape[0]):
+    reach = OBSTACLE_REACH / min(ihx, ihz) if len(layers) == 1 else OBSTACLE_REACH / min(ihx, ihy, ihz)
+    for place in range(first, last):
+        p = order[place]
         px, py, pz = position[p, 0], position[p, 1], position[p, 2]
         bx, wx0, wx1, wx2, gx0, gx1, gx2, dx = axis_shape(px, cells[0])
         bz, wz0, wz1, wz2, gz0, gz1, gz2, dz = axis_shape(pz, cells[2])
@@ -99,13 +125,13 @@ def points_to_grid(
                 node = ((bx + i) * ny + by + j) * nz + bz
                 for k in range(3):
                     wz, gz = pick(k, wz0, wz1, wz2), pick(k, gz0, gz1, gz2)
-                    grid[node + k, 0] += wz * p0 + gz * q0
-                    grid[node + k, 1] += wz * p1 + gz * q1
-                    grid[node + k, 2] += wz * p2 + gz * q2
-                    grid[node + k, 3] += wz * wm
-                    grid[node + k, 4] += wz * r0 + gz * s0
-                    grid[node + k, 5] += wz * r1 + gz * s1
-                    grid[node + k, 6] += wz * r2 + gz * s2
+                    add(grid, node + k, 0, wz * p0 + gz * q0)
+                    add(grid, node + k, 1, wz * p1 + gz * q1)
+                    add(grid, node + k, 2, wz * p2 + gz * q2)
+                    add(grid, node + k, 3, wz * wm)
+                    add(grid, node + k, 4, wz * r0 + gz * s0)
+                    add(grid, node + k, 5, wz * r1 + gz * s1)
+                    add(grid, node + k, 6, wz * r2 + gz * s2)
         # A point whose stencil reaches a wall is within a cell and a half of it.
         top = bx + 2 == cells[0]
         if bx == 0 or top:
@@ -113,7 +139,7 @@ def points_to_grid(
             for j in range(len(layers)):
                 for k in range(3):
                     node = ((cells[0] if top else 0) * ny + by + j) * nz + bz + k
-                    gap[node, 0] = min(gap[node, 0], distance)
+                    lower(gap, node, 0, distance)
         if len(layers) == 3:
             top = by + 2 == cells[1]
             if by == 0 or top:
@@ -121,37 +147,47 @@ def points_to_grid(
                 for i in range(3):
                     for k in range(3):
                         node = ((bx + i) * ny + (cells[1] if top else 0)) * nz + bz + k
-                        gap[node, 1] = min(gap[node, 1], distance)
+                        lower(gap, node, 1, distance)
         top = bz + 2 == cells[2]
         if bz == 0 or top:
             distance = cells[2] - pz if top else pz
             for i in range(3):
                 for j in range(len(layers)):
                     node = ((bx + i) * ny + by + j) * nz + (cells[2] if top else 0)
-                    gap[node, 2] = min(gap[node, 2], distance)
+                    lower(gap, node, 2, distance)
+        for o in range(obstacles.shape[0]):
+            distance = signed_distance(obstacles[o], px / ihx, py / ihy, pz / ihz)[0]
+            if distance < reach:
+                for i in range(3):
+                    for j in range(len(layers)):
+                        node = ((bx + i) * ny + by + j) * nz + bz
+                        for k in range(3):
+                            lower(gap, node + k, 3 + o, distance)
 
 
 @compiled
 def grid_to_points(
-    position, velocity, affine, stress, material_index, materials,
-    grid, cells, nodes, inverse_cell, layers, flip_fraction, dt,
+    first, last, position, velocity, affine, stress, material_index, materials,
+    grid, cells, nodes, inverse_cell, obstacles, layers, flip_fraction, dt,
 ):  # fmt: skip
-    """Give velocity and velocity gradient back to all points, move them and update their stresses.
+    """Give velocity and velocity gradient back to points, move them and update their stresses.
 
     Args:
+        first, last: of the points.
         position, velocity, affine, stress, material_index, materials: as in `points_to_grid`.
         grid: velocities and their changes, from `grid.move_nodes`.
-        cells, nodes, inverse_cell, layers: as in `points_to_grid`.
+        cells, nodes, inverse_cell, obstacles, layers: as in `points_to_grid`.
         flip_fraction: α above; 0 is APIC (or PIC).
         dt: time step [s].
 
     Returns:
-        Number of coordinates that had to be put back inside the box.
+        Number of coordinates beyond a wall, which are put back. `shape.approach_wall` carries no point through a wall
+        at any accepted time step.
     """
     ihx, ihy, ihz = inverse_cell
     ny, nz = nodes[1], nodes[2]
-    put_back = 0
-    for p in range(position.shape[0]):
+    left = 0
+    for p in range(first, last):
         px, py, pz = position[p, 0], position[p, 1], position[p, 2]
         bx, wx0, wx1, wx2, gx0, gx1, gx2, _ = axis_shape(px, cells[0])
         bz, wz0, wz1, wz2, gz0, gz1, gz2, _ = axis_shape(pz, cells[2])
@@ -191,13 +227,18 @@ def grid_to_points(
         affine[p, 0], affine[p, 1], affine[p, 2] = lxx, lxy, lxz
         affine[p, 3], affine[p, 4], affine[p, 5] = lyx, lyy, lyz
         affine[p, 6], affine[p, 7], affine[p, 8] = lzx, lzy, lzz
-        position[p, 0], moved = keep_inside(approach_wall(px, dt * ihx * vx, cells[0]), cells[0])
-        put_back += moved
+        ux, uy, uz = dt * vx, dt * vy, dt * vz
+        for o in range(obstacles.shape[0]):
+            ux, uy, uz = approach_obstacle(
+                obstacles[o], px / ihx, py / ihy, pz / ihz, ux, uy, uz, WALL_REACH / max(ihx, ihz)
+            )
+        position[p, 0], beyond = keep_inside(approach_wall(px, ihx * ux, cells[0]), cells[0])
+        left += beyond
         if len(layers) == 3:
-            position[p, 1], moved = keep_inside(approach_wall(py, dt * ihy * vy, cells[1]), cells[1])
-            put_back += moved
-        position[p, 2], moved = keep_inside(approach_wall(pz, dt * ihz * vz, cells[2]), cells[2])
-        put_back += moved
+            position[p, 1], beyond = keep_inside(approach_wall(py, ihy * uy, cells[1]), cells[1])
+            left += beyond
+        position[p, 2], beyond = keep_inside(approach_wall(pz, ihz * uz, cells[2]), cells[2])
+        left += beyond
         row = materials[material_index[p]]
         (
             stress[p, 0], stress[p, 1], stress[p, 2], stress[p, 3], stress[p, 4], stress[p, 5], stress[p, 6],
@@ -205,18 +246,19 @@ def grid_to_points(
             stress[p, 0], stress[p, 1], stress[p, 2], stress[p, 3], stress[p, 4], stress[p, 5], stress[p, 6],
             lxx, lxy, lxz, lyx, lyy, lyz, lzx, lzy, lzz, dt, row[0], row[1], row[2], row[3], row[4], row[5],
         )  # fmt: skip
-    return put_back
+    return left
 
 
 @compiled
 def keep_inside(x, num_cells):
-    """Return a coordinate inside the box [cells] and 1 if it had to be put back, else 0.
+    """Return a coordinate inside the box [cells] and 1 if it lay beyond a wall, else 0.
 
     The comparisons are written so that NaN lands inside too: it must not become an address. It stays visible in the
     velocity.
     """
     if not x >= WALL_MARGIN:
-        return WALL_MARGIN, 1
-    if not x <= num_cells - WALL_MARGIN:
-        return num_cells - WALL_MARGIN, 1
+        return WALL_MARGIN, 0 if x >= 0.0 else 1
+    high = real(num_cells) - WALL_MARGIN
+    if not x <= high:
+        return high, 0 if x <= real(num_cells) else 1
     return x, 0
