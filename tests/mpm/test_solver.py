@@ -153,3 +153,18 @@ def test_walls_lie_on_nodes_whatever_the_box() -> None:
     assert np.array(grid.cells) * grid.cell == pytest.approx([1.5, 0.5, 0.7])
     plane = make_box((1.0, 0.5), Body((0.0,) * 2, (0.2,) * 2, (0.0,) * 2), duration=0.1)
     assert make_grid(plane, 0.1).nodes == (11, 1, 6)
+
+
+@DIMS
+@pytest.mark.parametrize("down", [True, False])
+def test_a_box_two_cells_high_has_a_floor_and_a_ceiling(dim: int, down: bool) -> None:
+    """Every stencil reaches both of them there; far from one, a body falls on the other as in a higher box."""
+    body = Body((0.1,) * (dim - 1) + (0.04 if down else 0.1,), (0.2,) * (dim - 1) + (0.06,), (0.0,) * dim)
+    low = make_box((0.5,) * (dim - 1) + (0.2,), body, duration=0.2, gravity=(0.0,) * (dim - 1) + (-5 if down else 5,))
+    high = low.replace(
+        **({"upper": (*low.upper[:-1], 0.4)} if down else {"lower": (*low.lower[:-1], -0.2)})  # two cells more
+    )
+    config = make_mpm(cell_size=0.1, courant=0.1)
+    last, expected = (simulate(scene, config, frame_interval=0.02).position[-1] for scene in (low, high))
+    assert np.abs(last - expected).max() < 2e-3
+    assert 0 < (last[:, -1] if down else 0.2 - last[:, -1]).min() < 0.02

@@ -40,6 +40,7 @@ import numpy as np
 from gns_pl.mpm.compiled import compiled
 from gns_pl.mpm.constitutive import total_pressure, update_stress
 from gns_pl.mpm.obstacles import approach_obstacle, signed_distance
+from gns_pl.mpm.row import first_half, lane, load_row, make_row, store_row
 from gns_pl.mpm.shape import WALL_REACH, approach_wall, axis_shape, pick
 
 real = np.float64
@@ -52,15 +53,50 @@ OBSTACLE_REACH = 2.6
 
 
 @compiled
-def add(array, row, column, value):
-    """Add to one entry; on a GPU, where many points do at once, an atomic addition stands here."""
-    array[row, column] += value
-
-
-@compiled
 def lower(array, row, column, value):
     """Lower one entry to `value` if it is larger; on a GPU atomic."""
     array[row, column] = min(array[row, column], value)
+
+
+@compiled
+def note_gaps(px, py, pz, bx, by, bz, gap, cells, nodes, inverse_cell, obstacles, layers):
+    """Lower the gaps of the wall nodes, and of the nodes near obstacles, that a point reaches.
+
+    Args:
+        px, py, pz: place of the point [cells].
+        bx, by, bz: first node that it reaches along each axis.
+        gap, cells, nodes, inverse_cell, obstacles, layers: as in `points_to_grid`.
+    """
+    ny, nz = nodes[1], nodes[2]
+    # A point whose stencil reaches a wall is within a cell and a half of it.
+    for side in range(2):
+        if bx == (cells[0] - 2 if side else 0):
+            for j in range(len(layers)):
+                for k in range(3):
+                    node = ((cells[0] if side else 0) * ny + by + j) * nz + bz + k
+                    lower(gap, node, 0, cells[0] - px if side else px)
+        if len(layers) == 3 and by == (cells[1] - 2 if side else 0):
+            for i in range(3):
+                for k in range(3):
+                    node = ((bx + i) * ny + (cells[1] if side else 0)) * nz + bz + k
+                    lower(gap, node, 1, cells[1] - py if side else py)
+        if bz == (cells[2] - 2 if side else 0):
+            for i in range(3):
+                for j in range(len(layers)):
+                    node = ((bx + i) * ny + by + j) * nz + (cells[2] if side else 0)
+                    lower(gap, node, 2, cells[2] - pz if side else pz)
+    if obstacles.shape[0] == 0:
+        return
+    ihx, ihy, ihz = inverse_cell
+    reach = OBSTACLE_REACH / min(ihx, ihz) if len(layers) == 1 else OBSTACLE_REACH / min(ihx, ihy, ihz)
+    for o in range(obstacles.shape[0]):
+        distance = signed_distance(obstacles[o], px / ihx, py / ihy, pz / ihz)[0]
+        if distance < reach:
+            for i in range(3):
+                for j in range(len(layers)):
+                    node = ((bx + i) * ny + by + j) * nz + bz
+                    for k in range(3):
+                        lower(gap, node + k, 3 + o, distance)
 
 
 @compiled
@@ -87,7 +123,6 @@ def points_to_grid(
     """
     ihx, ihy, ihz = inverse_cell
     ny, nz = nodes[1], nodes[2]
-    reach = OBSTACLE_REACH / min(ihx, ihz) if len(layers) == 1 else OBSTACLE_REACH / min(ihx, ihy, ihz)
     for place in range(first, last):
         p = order[place]
         px, py, pz = position[p, 0], position[p, 1], position[p, 2]
@@ -108,61 +143,70 @@ def points_to_grid(
         fzx, fxz = fx * stress[p, 5], fz * stress[p, 5]
         # w (x_i − x_p) = D g along each axis, so the affine part is a matrix times g as well.
         ax, ay, az = affine_fraction * m * dx / ihx, affine_fraction * m * dy / ihy, affine_fraction * m * dz / ihz
-        mvx, mvy, mvz = m * velocity[p, 0], m * velocity[p, 1], m * velocity[p, 2]
+        none = real(0.0)
+        constant = make_row(m * velocity[p, 0], m * velocity[p, 1], m * velocity[p, 2], m, none, none, none, none)
+        along_x = make_row(ax * affine[p, 0], ax * affine[p, 3], ax * affine[p, 6], none, fxx, fyx, fzx, none)
+        along_y = make_row(ay * affine[p, 1], ay * affine[p, 4], ay * affine[p, 7], none, fxy, fyy, fzy, none)
+        along_z = make_row(az * affine[p, 2], az * affine[p, 5], az * affine[p, 8], none, fxz, fyz, fzz, none)
         for i in range(3):
             wx, gx = pick(i, wx0, wx1, wx2), pick(i, gx0, gx1, gx2)
             for j in range(len(layers)):
                 wy, gy = pick(j, wy0, wy1, wy2), pick(j, gy0, gy1, gy2)
-                w, a, b = wx * wy, gx * wy, wx * gy
-                aa, bb, cc = a * ax, b * ay, w * az
-                p0 = w * mvx + aa * affine[p, 0] + bb * affine[p, 1]
-                p1 = w * mvy + aa * affine[p, 3] + bb * affine[p, 4]
-                p2 = w * mvz + aa * affine[p, 6] + bb * affine[p, 7]
-                q0, q1, q2 = cc * affine[p, 2], cc * affine[p, 5], cc * affine[p, 8]
-                r0, r1, r2 = a * fxx + b * fxy, a * fyx + b * fyy, a * fzx + b * fzy
-                s0, s1, s2 = w * fxz, w * fyz, w * fzz
-                wm = w * m
+                flat = (wx * wy) * constant + (gx * wy) * along_x + (wx * gy) * along_y
+                steep = (wx * wy) * along_z
                 node = ((bx + i) * ny + by + j) * nz + bz
-                for k in range(3):
-                    wz, gz = pick(k, wz0, wz1, wz2), pick(k, gz0, gz1, gz2)
-                    add(grid, node + k, 0, wz * p0 + gz * q0)
-                    add(grid, node + k, 1, wz * p1 + gz * q1)
-                    add(grid, node + k, 2, wz * p2 + gz * q2)
-                    add(grid, node + k, 3, wz * wm)
-                    add(grid, node + k, 4, wz * r0 + gz * s0)
-                    add(grid, node + k, 5, wz * r1 + gz * s1)
-                    add(grid, node + k, 6, wz * r2 + gz * s2)
-        # A point whose stencil reaches a wall is within a cell and a half of it.
-        top = bx + 2 == cells[0]
-        if bx == 0 or top:
-            distance = cells[0] - px if top else px
-            for j in range(len(layers)):
-                for k in range(3):
-                    node = ((cells[0] if top else 0) * ny + by + j) * nz + bz + k
-                    lower(gap, node, 0, distance)
-        if len(layers) == 3:
-            top = by + 2 == cells[1]
-            if by == 0 or top:
-                distance = cells[1] - py if top else py
-                for i in range(3):
-                    for k in range(3):
-                        node = ((bx + i) * ny + (cells[1] if top else 0)) * nz + bz + k
-                        lower(gap, node, 1, distance)
-        top = bz + 2 == cells[2]
-        if bz == 0 or top:
-            distance = cells[2] - pz if top else pz
-            for i in range(3):
-                for j in range(len(layers)):
-                    node = ((bx + i) * ny + by + j) * nz + (cells[2] if top else 0)
-                    lower(gap, node, 2, distance)
-        for o in range(obstacles.shape[0]):
-            distance = signed_distance(obstacles[o], px / ihx, py / ihy, pz / ihz)[0]
-            if distance < reach:
-                for i in range(3):
-                    for j in range(len(layers)):
-                        node = ((bx + i) * ny + by + j) * nz + bz
-                        for k in range(3):
-                            lower(gap, node + k, 3 + o, distance)
+                store_row(grid, node, load_row(grid, node) + wz0 * flat + gz0 * steep)
+                store_row(grid, node + 1, load_row(grid, node + 1) + wz1 * flat + gz1 * steep)
+                store_row(grid, node + 2, load_row(grid, node + 2) + wz2 * flat + gz2 * steep)
+        note_gaps(px, py, pz, bx, by, bz, gap, cells, nodes, inverse_cell, obstacles, layers)
+
+
+@compiled
+def update_point(
+    p, vx, vy, vz, cx, cy, cz, lxx, lxy, lxz, lyx, lyy, lyz, lzx, lzy, lzz, position, velocity, affine, stress,
+    material_index, materials, cells, inverse_cell, obstacles, layers, flip_fraction, dt,
+):  # fmt: skip
+    """Move one point and update its velocity and stress.
+
+    Args:
+        p: the point.
+        vx, vy, vz: velocity of the grid at the point [m/s].
+        cx, cy, cz: change of that velocity in this step [m/s].
+        lxx, …, lzz: gradient of that velocity [1/s].
+        position, …, dt: as in `grid_to_points`.
+
+    Returns:
+        Number of its coordinates beyond a wall.
+    """
+    px, py, pz = position[p, 0], position[p, 1], position[p, 2]
+    ihx, ihy, ihz = inverse_cell
+    left = 0
+    velocity[p, 0] = flip_fraction * (velocity[p, 0] + cx) + (1.0 - flip_fraction) * vx
+    velocity[p, 1] = flip_fraction * (velocity[p, 1] + cy) + (1.0 - flip_fraction) * vy
+    velocity[p, 2] = flip_fraction * (velocity[p, 2] + cz) + (1.0 - flip_fraction) * vz
+    affine[p, 0], affine[p, 1], affine[p, 2] = lxx, lxy, lxz
+    affine[p, 3], affine[p, 4], affine[p, 5] = lyx, lyy, lyz
+    affine[p, 6], affine[p, 7], affine[p, 8] = lzx, lzy, lzz
+    ux, uy, uz = dt * vx, dt * vy, dt * vz
+    for o in range(obstacles.shape[0]):
+        ux, uy, uz = approach_obstacle(
+            obstacles[o], px / ihx, py / ihy, pz / ihz, ux, uy, uz, WALL_REACH / max(ihx, ihz)
+        )
+    position[p, 0], beyond = keep_inside(approach_wall(px, ihx * ux, cells[0]), cells[0])
+    left += beyond
+    if len(layers) == 3:
+        position[p, 1], beyond = keep_inside(approach_wall(py, ihy * uy, cells[1]), cells[1])
+        left += beyond
+    position[p, 2], beyond = keep_inside(approach_wall(pz, ihz * uz, cells[2]), cells[2])
+    left += beyond
+    row = materials[material_index[p]]
+    (
+        stress[p, 0], stress[p, 1], stress[p, 2], stress[p, 3], stress[p, 4], stress[p, 5], stress[p, 6],
+    ) = update_stress(
+        stress[p, 0], stress[p, 1], stress[p, 2], stress[p, 3], stress[p, 4], stress[p, 5], stress[p, 6],
+        lxx, lxy, lxz, lyx, lyy, lyz, lzx, lzy, lzz, dt, row[0], row[1], row[2], row[3], row[4], row[5],
+    )  # fmt: skip
+    return left
 
 
 @compiled
@@ -195,56 +239,30 @@ def grid_to_points(
             by, wy0, wy1, wy2, gy0, gy1, gy2, _ = axis_shape(py, cells[1])
         else:
             by, wy0, wy1, wy2, gy0, gy1, gy2 = 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        vx = vy = vz = cx = cy = cz = 0.0
-        lxx = lxy = lxz = lyx = lyy = lyz = lzx = lzy = lzz = 0.0
+        none = real(0.0)
+        value = make_row(none, none, none, none, none, none, none, none)
+        slope_x = slope_y = slope_z = first_half(value)  # of the velocity alone
         for i in range(3):
             wx, gx = pick(i, wx0, wx1, wx2), pick(i, gx0, gx1, gx2)
             for j in range(len(layers)):
                 wy, gy = pick(j, wy0, wy1, wy2), pick(j, gy0, gy1, gy2)
                 node = ((bx + i) * ny + by + j) * nz + bz
-                # Sums along z first: velocity, its z gradient and its change.
-                u0 = wz0 * grid[node, 0] + wz1 * grid[node + 1, 0] + wz2 * grid[node + 2, 0]
-                u1 = wz0 * grid[node, 1] + wz1 * grid[node + 1, 1] + wz2 * grid[node + 2, 1]
-                u2 = wz0 * grid[node, 2] + wz1 * grid[node + 1, 2] + wz2 * grid[node + 2, 2]
-                d0 = gz0 * grid[node, 0] + gz1 * grid[node + 1, 0] + gz2 * grid[node + 2, 0]
-                d1 = gz0 * grid[node, 1] + gz1 * grid[node + 1, 1] + gz2 * grid[node + 2, 1]
-                d2 = gz0 * grid[node, 2] + gz1 * grid[node + 1, 2] + gz2 * grid[node + 2, 2]
-                c0 = wz0 * grid[node, 4] + wz1 * grid[node + 1, 4] + wz2 * grid[node + 2, 4]
-                c1 = wz0 * grid[node, 5] + wz1 * grid[node + 1, 5] + wz2 * grid[node + 2, 5]
-                c2 = wz0 * grid[node, 6] + wz1 * grid[node + 1, 6] + wz2 * grid[node + 2, 6]
-                w, a, b = wx * wy, gx * wy, wx * gy
-                vx, vy, vz = vx + w * u0, vy + w * u1, vz + w * u2
-                cx, cy, cz = cx + w * c0, cy + w * c1, cz + w * c2
-                lxx, lyx, lzx = lxx + a * u0, lyx + a * u1, lzx + a * u2
-                lxy, lyy, lzy = lxy + b * u0, lyy + b * u1, lzy + b * u2
-                lxz, lyz, lzz = lxz + w * d0, lyz + w * d1, lzz + w * d2
-        lxx, lyx, lzx = ihx * lxx, ihx * lyx, ihx * lzx
-        lxy, lyy, lzy = ihy * lxy, ihy * lyy, ihy * lzy
-        lxz, lyz, lzz = ihz * lxz, ihz * lyz, ihz * lzz
-        velocity[p, 0] = flip_fraction * (velocity[p, 0] + cx) + (1.0 - flip_fraction) * vx
-        velocity[p, 1] = flip_fraction * (velocity[p, 1] + cy) + (1.0 - flip_fraction) * vy
-        velocity[p, 2] = flip_fraction * (velocity[p, 2] + cz) + (1.0 - flip_fraction) * vz
-        affine[p, 0], affine[p, 1], affine[p, 2] = lxx, lxy, lxz
-        affine[p, 3], affine[p, 4], affine[p, 5] = lyx, lyy, lyz
-        affine[p, 6], affine[p, 7], affine[p, 8] = lzx, lzy, lzz
-        ux, uy, uz = dt * vx, dt * vy, dt * vz
-        for o in range(obstacles.shape[0]):
-            ux, uy, uz = approach_obstacle(
-                obstacles[o], px / ihx, py / ihy, pz / ihz, ux, uy, uz, WALL_REACH / max(ihx, ihz)
-            )
-        position[p, 0], beyond = keep_inside(approach_wall(px, ihx * ux, cells[0]), cells[0])
-        left += beyond
-        if len(layers) == 3:
-            position[p, 1], beyond = keep_inside(approach_wall(py, ihy * uy, cells[1]), cells[1])
-            left += beyond
-        position[p, 2], beyond = keep_inside(approach_wall(pz, ihz * uz, cells[2]), cells[2])
-        left += beyond
-        row = materials[material_index[p]]
-        (
-            stress[p, 0], stress[p, 1], stress[p, 2], stress[p, 3], stress[p, 4], stress[p, 5], stress[p, 6],
-        ) = update_stress(
-            stress[p, 0], stress[p, 1], stress[p, 2], stress[p, 3], stress[p, 4], stress[p, 5], stress[p, 6],
-            lxx, lxy, lxz, lyx, lyy, lyz, lzx, lzy, lzz, dt, row[0], row[1], row[2], row[3], row[4], row[5],
+                low, middle, high = load_row(grid, node), load_row(grid, node + 1), load_row(grid, node + 2)
+                flat = wz0 * low + wz1 * middle + wz2 * high
+                value = value + (wx * wy) * flat
+                velocity_alone = first_half(flat)
+                slope_x = slope_x + (gx * wy) * velocity_alone
+                slope_y = slope_y + (wx * gy) * velocity_alone
+                steep = gz0 * first_half(low) + gz1 * first_half(middle) + gz2 * first_half(high)
+                slope_z = slope_z + (wx * wy) * steep
+        vx, vy, vz = lane(value, 0), lane(value, 1), lane(value, 2)
+        cx, cy, cz = lane(value, 4), lane(value, 5), lane(value, 6)
+        lxx, lyx, lzx = ihx * lane(slope_x, 0), ihx * lane(slope_x, 1), ihx * lane(slope_x, 2)
+        lxy, lyy, lzy = ihy * lane(slope_y, 0), ihy * lane(slope_y, 1), ihy * lane(slope_y, 2)
+        lxz, lyz, lzz = ihz * lane(slope_z, 0), ihz * lane(slope_z, 1), ihz * lane(slope_z, 2)
+        left += update_point(
+            p, vx, vy, vz, cx, cy, cz, lxx, lxy, lxz, lyx, lyy, lyz, lzx, lzy, lzz, position, velocity, affine, stress,
+            material_index, materials, cells, inverse_cell, obstacles, layers, flip_fraction, dt,
         )  # fmt: skip
     return left
 
