@@ -16,7 +16,7 @@ def main(cfg: DictConfig) -> None:
 
         spec: Any = OmegaConf.to_container(cfg.data, resolve=True)
         try:
-            generate_dataset(spec, num_workers=cfg.num_workers)
+            generate_dataset(spec, num_workers=cfg.num_workers, device=cfg.device)
         except KeyboardInterrupt:
             raise SystemExit("generate.py: stopped; the same command goes on where it was.") from None
 

@@ -52,6 +52,16 @@ def test_makes_a_data_set_where_the_user_is_and_nothing_else(tmp_path: Path) -> 
     )
 
 
+def test_a_fine_set_has_a_folder_for_every_spacing(tmp_path: Path) -> None:
+    few = [f"data.families.cube_drop.{setting}" for setting in ("count=2", "valid=1", "test=0", "duration=0.02")]
+    done = run(tmp_path, "data=cube106_fine", "data.mpm.cell_size=0.125", *few, "num_workers=1", "device=cpu")
+    assert done.returncode == 0, done.stderr
+    assert "GB, every 2 and every 4) by 1 process." in done.stderr
+    for every in (2, 4):
+        manifest = verify_dataset(tmp_path / "datasets" / "cube106_fine" / f"every_{every}")
+        assert (len(manifest.files), manifest.spacing) == (2, every / 16)
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -59,6 +69,9 @@ def test_makes_a_data_set_where_the_user_is_and_nothing_else(tmp_path: Path) -> 
         (["data.mpm.courant=7"], "mpm: courant 7 is above the limit"),
         (["+data.families.cube_drop.colour=red"], "family cube_drop: unknown key colour"),
         ([f"data.root={os.devnull}"], "/dev/null: is a file, not a folder."),
+        (["device=gpu"], "device must be one of auto, cpu, cuda, not 'gpu'."),
+        (["+data.every=2"], "every is 2, but the set is stored with every 1; choose one of these."),
+        (["+data.store_every=[2,50]"], "lattice places, too few to keep every 50; choose less."),
     ],
 )
 def test_wrong_input_is_one_sentence(tmp_path: Path, arguments: list[str], sentence: str) -> None:

@@ -120,6 +120,21 @@ def test_a_copy_elsewhere_gives_the_same_numbers(checkpoint, tmp_path, monkeypat
     assert here == there
 
 
+def test_every_kth_point_of_a_fine_reference_is_judged(checkpoint, tmp_path, references) -> None:
+    mpm = {"cell_size": 0.1, "points_per_direction": 2, "courant": 0.3, "transfer": "apic", "damping_rate": 0}
+    data = DATA | {"mpm": mpm | {"bulk_viscosity": 0.3, "jitter": 0}, "store_every": [4, 2]}
+    # `spreading` has 8 x 10 x 4 points and moves them by as far as they stood from the wall; kept from 0 and from 1 on.
+    for every, number, last in ((2, 4 * 5 * 2, 6), (None, 2 * 3 * 1, 5)):
+        chosen = data | ({"every": every} if every else {})
+        save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02), chosen, {"steps": 0}))
+        scene = run(checkpoint, tmp_path, only="short")["scenes"]["short"]
+        assert scene["num_particles"] == number
+        assert scene["made_by"]["reference"]["every"] == (every or 4)
+        assert scene["no_motion"]["runout_99"] == 0
+        assert scene["reference"]["runout_99"] == pytest.approx((last + 0.5) / 8, rel=1e-4)
+    assert {call[1]["cell_size"] for call in references} == {0.1}
+
+
 def test_a_rollout_that_fails_is_reported_and_the_rest_goes_on(checkpoint, tmp_path, monkeypatch, capsys) -> None:
     def broken(simulator, start, num_steps, *, on_step=None):
         learned = spreading(start.scene, num_steps + 1, dt=start.dt)

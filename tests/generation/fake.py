@@ -9,7 +9,7 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,10 @@ BLOCKS = {
 }
 
 
+FINE = {**MPM, "cell_size": 0.125}
+"""With it the bodies of `make_spec` have 2 to 8 places along each axis."""
+
+
 def make_spec(**changes: Any) -> dict[str, Any]:
     """Return a small specification: five drops and three blocks of seven frames."""
     spec = {
@@ -69,6 +73,11 @@ def make_spec(**changes: Any) -> dict[str, Any]:
     return {**spec, **changes}
 
 
+def make_thinned_spec(**changes: Any) -> dict[str, Any]:
+    """Return `make_spec` on a fine grid, of which every 2nd and every 3rd point are stored."""
+    return make_spec(mpm=dict(FINE), store_every=[2, 3], **changes)
+
+
 def fake_solver(
     scene: Scene,
     mpm: Mapping[str, Any],
@@ -76,6 +85,7 @@ def fake_solver(
     frame_interval: float,
     seed: int,
     on_frame: Callable[[int, int], None] | None = None,
+    device: str = "cpu",
 ) -> Trajectory:
     """Move every particle freely under gravity until the floor stops it."""
     spacing = mpm["cell_size"] / mpm["points_per_direction"]
@@ -87,6 +97,14 @@ def fake_solver(
         on_frame(num_frames - 1, num_frames)
     start = start_trajectory(scene, particles, frame_interval, {"solver": "fake", "seed": seed})
     return replace(start, position=np.clip(position, scene.lower, scene.upper).astype(np.float32))
+
+
+def fake_batch(
+    scenes: Sequence[Scene], mpm: Mapping[str, Any], *, frame_interval: float, seeds: Sequence[int]
+) -> list[Trajectory]:
+    """Run `fake_solver` on many scenes."""
+    pairs = zip(scenes, seeds, strict=True)
+    return [fake_solver(scene, mpm, frame_interval=frame_interval, seed=seed) for scene, seed in pairs]
 
 
 def _slow_solver(scene: Scene, mpm: Mapping[str, Any], **rest: Any) -> Trajectory:

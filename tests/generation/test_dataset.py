@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.generation import generate_dataset, solver
 from gns_pl.generation.lock import locked
+from gns_pl.generation.progress import readable_time
 from gns_pl.generation.records import first_difference
 from gns_pl.io import StorageError, file_sha256, read_manifest, read_trajectory, verify_dataset
 from gns_pl.scene import Scene
@@ -47,6 +49,7 @@ def test_the_manifest_describes_the_files(root: Path) -> None:
         assert (record.num_frames, record.num_particles) == trajectory.position.shape[:2] != (0, 0)
         assert trajectory.provenance["dataset"] == "small"
         assert trajectory.provenance["solver_version"] == solver.solver_version()
+        assert trajectory.provenance["device"] == "cpu"
     kept = {path.name for path in root.iterdir()}
     assert kept == {*manifest.files, "manifest.json", "generation.json", "timings.csv", ".lock"}
     assert len((root / "timings.csv").read_text().splitlines()) == 9
@@ -190,12 +193,28 @@ def test_a_full_disk_stops_at_once(faked: None, tmp_path: Path, monkeypatch: pyt
     assert not list(root.glob("*.h5"))
 
 
-def test_what_is_coming_is_told(faked: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_coming_is_told(
+    faked: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a clock on which a simulation takes a second per particle and nothing else takes any time."""
+    now = [0.0]
+
+    def ticking(scene: Scene, *arguments: Any, **rest: Any) -> Trajectory:
+        trajectory = fake_solver(scene, *arguments, **rest)
+        now[0] += trajectory.num_particles
+        return trajectory
+
+    def compiling(*_: Any, **__: Any) -> None:
+        now[0] += 5000  # is done once, so it says nothing about the time left
+
+    monkeypatch.setattr("gns_pl.generation.progress.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(solver, "run_solver", ticking)
+    monkeypatch.setattr(solver, "compile_solver", compiling)
     root = generate_dataset(make_spec(), root=tmp_path / "set", num_workers=1)
-    number = sum(record.num_particles for record in read_manifest(root).files.values())
+    sizes = [record.num_particles for record in read_manifest(root).files.values()]
     told = capsys.readouterr().err
-    assert f"small: 8 trajectories, {number} particles in all, into {root}; 8 to simulate" in told
-    assert "small: 7 trajectories left, about 0 s." in told
+    assert f"small: 8 trajectories, {sum(sizes)} particles in all, into {root}; 8 to simulate" in told
+    assert f"small: 7 trajectories left, about {readable_time(sum(sizes) - max(sizes))}." in told
     assert f"small: 8 trajectories are in {root}." in told
 
 

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import math
 from collections import Counter
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +16,9 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from gns_pl.errors import InputError
-from gns_pl.generation import DatasetSpec, Planned, draw_plan
+from gns_pl.generation import DatasetSpec, Planned, chosen_every, draw_plan
 from gns_pl.generation.solver import solver_config
+from gns_pl.scene import fill_scene
 from tests.generation.fake import BLOCKS, DROPS, MPM, make_spec
 
 
@@ -88,7 +94,7 @@ def family(**changes: Any) -> dict[str, Any]:
         ({"mpm": 3}, "mpm must be a mapping"),
         ({"families": {}}, "at least one family"),
         ({"families": {"cube_drop": 3}}, "family cube_drop must be a mapping"),
-        ({"families": {"drops": DROPS}}, "no kind 'drops' of scenes; known are cube_drop, block_release"),
+        ({"families": {"drops": DROPS}}, "no kind 'drops' of scenes; known are cube_drop, block_release, column"),
         (family(sped=1), "family cube_drop: unknown key sped"),
         (family(side=...), "family cube_drop: missing key side"),
         (family(count=-1), "count must be a whole number"),
@@ -99,6 +105,9 @@ def family(**changes: Any) -> dict[str, Any]:
         (family(duration=0), "duration must be"),
         (family(walls={"z-": {"condition": "slip"}}), "walls must name the faces"),
         (family(walls=3), "walls must be a mapping"),
+        (family(friction_angle_deg=30), "friction_angle_deg must be a list of numbers"),
+        (family(friction_angle_deg=[45, 20]), "friction_angle_deg must be two positive numbers, the smaller first"),
+        (family(friction_angle_deg=[20, 95]), "friction_angle_deg must be below 90"),
         (family(walls={"z-": 3}), "wall 'z-' must be a mapping"),
         ({"material": {"density": 1}}, "material: missing key"),
         ({"walls": {}}, "walls must name the faces"),
@@ -126,20 +135,149 @@ def test_solver_settings_are_checked() -> None:
         solver_config({key: value for key, value in MPM.items() if key != "courant"})
 
 
-@pytest.mark.parametrize(("name", "count"), [("cube106", 106), ("quickstart", None)])
-def test_configured_sets_can_be_drawn(name: str, count: int | None) -> None:
+def configured(name: str, *overrides: str) -> dict[str, Any]:
+    """Return the specification of a data set in conf/."""
     with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base=None):
-        data: Any = OmegaConf.to_container(compose("generate", [f"data={name}"]).data, resolve=True)
+        composed = compose("generate", [f"data={name}", *overrides])
+    data: Any = OmegaConf.to_container(composed.data, resolve=True)
+    return dict(data)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "split", "seed", "size", "corner", "velocity"),
+    [
+        ("cube106", 0, "train", 493461003, 0.26171690793640146, 0.3275829355343306, -1.1524623097770004),
+        ("cube106", 105, "train", 3430037196, 0.3801465422920359, 0.11356211902370089, -0.46227722652113035),
+        ("quickstart", 0, "train", 3536558523, 0.23744954256149903, 0.7625504574385009, 0.0),
+        ("quickstart", 63, "train", 1452992514, 0.33904598074383807, 0.41691285866086397, 0.9472453944322285),
+    ],
+)
+def test_what_was_drawn_once_is_drawn_for_ever(
+    name: str, place: int, split: str, seed: int, size: float, corner: float, velocity: float
+) -> None:
+    """Numbers of the plans before data sets could be thinned: sets on disks must still be recognised and completed."""
+    planned = draw_plan(DatasetSpec.from_dict(configured(name)))[place]
+    (body,) = planned.scene.bodies
+    assert (planned.file_name, planned.split, planned.seed) == (f"trajectory_{place:04d}.h5", split, seed)
+    assert (body.size[0], body.position[0], body.velocity[0]) == (size, corner, velocity)
+
+
+@pytest.mark.parametrize(
+    ("name", "sha256"),
+    [
+        ("cube106", "e407c9c7c5e738779b6e0aba8197efbf10f2ce80975e9017f922b434c05cc3e1"),
+        ("quickstart", "f32003e0315ac328b2210ad6e0d12ee14a3ee7dc5400944fdc1abdca2a6b32af"),
+    ],
+)
+def test_whole_plans_are_what_they_were(name: str, sha256: str) -> None:
+    plan = [
+        [p.file_name, p.split, p.scene.to_dict(), p.seed] for p in draw_plan(DatasetSpec.from_dict(configured(name)))
+    ]
+    assert hashlib.sha256(json.dumps(plan, sort_keys=True).encode()).hexdigest() == sha256
+
+
+def columns(drawn: list[Planned]) -> list[Any]:
+    return [planned.scene for planned in drawn if not any(planned.scene.bodies[0].velocity)]
+
+
+@pytest.mark.parametrize(
+    ("name", "split", "cell", "spacings"),
+    [
+        ("quickstart", (56, 4, 4), 1 / 12, [1 / 24]),
+        ("cube106", (96, 6, 4), 1 / 12, [1 / 48]),
+        ("cube106_fine", (96, 6, 4), 1 / 48, [1 / 48, 1 / 24]),
+        ("columns", (60, 6, 6), 1 / 12, [1 / 48]),
+        ("columns_fine", (60, 6, 6), 1 / 48, [1 / 48, 1 / 24]),
+        ("friction", (78, 9, 9), 1 / 12, [1 / 48]),
+    ],
+)
+def test_configured_sets_can_be_drawn(name: str, split: tuple[int, ...], cell: float, spacings: list[float]) -> None:
+    data = configured(name)
     assert data["root"] == f"datasets/{name}"
-    drawn = draw_plan(DatasetSpec.from_dict(data))
-    assert count is None or len(drawn) == count
-    assert {planned.split for planned in drawn} == {"train", "valid", "test"}
-    assert solver_config(data["mpm"]).cell_size == pytest.approx(1 / 12)
+    spec = DatasetSpec.from_dict(data)
+    drawn = draw_plan(spec)
+    counts = Counter(planned.split for planned in drawn)
+    assert tuple(counts[part] for part in ("train", "valid", "test")) == split
+    config = solver_config(data["mpm"])
+    assert config.cell_size == pytest.approx(cell)
+    assert [every * config.spacing for every in spec.store_every] == pytest.approx(spacings)
+    assert chosen_every(data) == spec.store_every[0]
     for planned in drawn:
         (body,) = planned.scene.bodies
         fast = body.velocity[-1] ** 2 + 2 * data["gravity"] * body.position[-1]
         assert fast <= 3.1**2  # m/s: faster cubes spread into layers thinner than a cell
-        if not any(body.velocity):
-            ratio = body.size[-1] / body.size[0]
-            assert abs(ratio - 0.8) > 0.05
-            assert abs(ratio - 2.0) > 0.05
+    for scene in columns(drawn):
+        ratio = scene.bodies[0].size[-1] / scene.bodies[0].size[0]
+        assert abs(ratio - 0.8) > 0.05
+        assert abs(ratio - 2.0) > 0.05
+
+
+def test_the_fine_sets_are_of_the_same_scenes() -> None:
+    for name in ("cube106", "columns"):
+        coarse, fine = (draw_plan(DatasetSpec.from_dict(configured(which))) for which in (name, f"{name}_fine"))
+        assert [(p.scene, p.seed, p.split) for p in coarse] == [(p.scene, p.seed, p.split) for p in fine]
+
+
+@pytest.mark.parametrize(
+    ("name", "farthest"),
+    [("columns", 3.3), ("friction", 4.2)],  # longest runout over a^(2/3) L0: published; with 20° and cells of 1/12 m
+)
+def test_columns_keep_away_from_the_tests_and_from_the_far_wall(name: str, farthest: float) -> None:
+    scenes = columns(draw_plan(DatasetSpec.from_dict(configured(name))))
+    seen = Counter[tuple[str, str]]()
+    for scene in scenes:
+        (body,) = scene.bodies
+        length, height = body.size[0], body.size[-1]
+        ratio = height / length
+        ranges = {"low": (0.5, 0.7), "middle": (0.95, 1.75), "high": (2.3, 4.0)}
+        (which,) = [key for key, (low, high) in ranges.items() if low - 1e-9 <= ratio <= high + 1e-9]
+        seen[which, scene.walls["y-"].condition] += 1
+        assert (1 + farthest * ratio ** (2 / 3)) * length < scene.upper[0]
+        assert height < 0.96 * scene.upper[-1]
+        assert {scene.walls[face].friction for face in ("x-", "x+", "z-", "z+")} == {0.385}
+    assert len(seen) == 6
+    assert len(set(seen.values())) == 1  # half of each rub against the side walls, half slip
+
+
+def test_friction_angles_are_drawn_for_every_trajectory_and_become_features() -> None:
+    drawn = draw_plan(DatasetSpec.from_dict(configured("friction", "data.families.cube_drop.count=200")))
+    angles = [planned.scene.materials["sand"].friction_angle_deg for planned in drawn]
+    assert len(set(angles)) == len(drawn) == 248
+    assert 20 <= min(angles) < 21 < 44 < max(angles) <= 45
+    for planned, angle in zip(drawn, angles, strict=True):
+        tangent = fill_scene(planned.scene, 0.1).material
+        assert tangent == pytest.approx(math.tan(math.radians(angle)))
+
+
+def test_a_range_of_friction_angles_changes_nothing_else() -> None:
+    plain, varied = plan(), plan(families={"cube_drop": {**DROPS, "friction_angle_deg": [20, 45]}, "low": BLOCKS})
+    for before, after in zip(plain, varied, strict=True):
+        assert after.seed == before.seed
+        assert after.scene.replace(materials=before.scene.materials) == before.scene
+    assert varied[0].scene != plain[0].scene
+    assert varied[-1] == plain[-1]
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_every_shifted_lattice_occurs_before_any_comes_again(every: int) -> None:
+    families = {"cube_drop": {**DROPS, "count": 3 * every**3}, "low": BLOCKS}
+    drawn = [p.offsets[every] for p in plan(families=families, store_every=[every]) if "drop" in p.scene.name]
+    assert Counter(drawn) == dict.fromkeys(product(range(every), repeat=3), 3)
+
+
+def test_which_lattice_to_use_is_chosen_on_the_command_line() -> None:
+    assert chosen_every(configured("cube106_fine")) == 2
+    assert chosen_every(configured("cube106_fine", "data.every=4")) == 4
+    assert chosen_every(configured("cube106_fine", "data.store_every=[3,2]")) == 3
+    assert chosen_every(configured("cube106")) == 1
+    spec = DatasetSpec.from_dict(configured("cube106_fine", "data.every=4"))
+    assert spec == DatasetSpec.from_dict(configured("cube106_fine"))
+
+
+def test_which_lattices_are_stored_changes_nothing_else() -> None:
+    for before, after in zip(plan(), plan(store_every=[4, 2]), strict=True):
+        assert replace(after, offsets=before.offsets) == before
+        assert after.offsets.keys() == {4, 2}
+    first, second = plan(store_every=[4, 2]), plan(store_every=[2])
+    assert [p.offsets[2] for p in first] == [p.offsets[2] for p in second]
+    assert [p.offsets[4] for p in first] != [p.offsets[4] for p in plan(store_every=[4], seed=8)]

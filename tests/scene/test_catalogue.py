@@ -15,6 +15,7 @@ from gns_pl.scene import (
     block_release,
     column_collapse,
     sample_block_release,
+    sample_column_collapse,
     sample_cube_drop,
 )
 
@@ -22,6 +23,8 @@ COMMON: dict[str, Any] = {"gravity": 9.81, "duration": 1.0, "material": Material
 WALLS = {dim: {face: Wall("friction", 0.4) for face in FACES[dim]} for dim in FACES}
 DROP: dict[str, Any] = {"domain": (1, 1.5, 0.8), "side": (0.25, 0.4), "speed": 1.5, "max_drop": 0.3}
 BLOCK: dict[str, Any] = {"domain": (1, 1.5, 0.8), "length": (0.2, 0.5), "aspect_ratio": (0.4, 3.0), "at_wall": 0.5}
+COLUMN: dict[str, Any] = {"domain": (2.0, 0.5, 1.0), "length": (0.2, 0.4), "aspect_ratio": (0.5, 2.5)}
+SPAN: dict[str, Any] = {"gravity": 9.81, "material": COMMON["material"], "duration_tau": 6.0}
 
 
 def test_column_spans_the_width_against_the_wall() -> None:
@@ -69,6 +72,26 @@ def test_blocks_stay_in_range_and_half_of_them_touch_a_wall() -> None:
     assert (np.mean(touching, axis=0) < 0.6).all()
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_columns_stay_in_range_and_run_for_their_own_time(dim: int) -> None:
+    domain = COLUMN["domain"] if dim == 3 else (2.0, 1.0)
+    drawn = []
+    for seed in range(300):
+        parameters = COLUMN | SPAN | {"domain": domain, "walls": WALLS[dim]}
+        scene = sample_column_collapse(np.random.default_rng(seed), **parameters)
+        (body,) = scene.bodies
+        length, height = body.size[0], body.size[-1]
+        assert body.position == (0,) * dim
+        assert body.velocity == (0,) * dim
+        assert body.size[1:-1] == domain[1:-1]
+        assert scene.duration == pytest.approx(6 * np.sqrt(height / 9.81))
+        drawn.append([length, height / length])
+    low, high = np.min(drawn, axis=0), np.max(drawn, axis=0)
+    assert (low >= [0.2, 0.5 - 1e-12]).all()
+    assert (high <= [0.4, 2.5 + 1e-12]).all()
+    assert (high - low > 0.9 * np.array([0.2, 2.0])).all()
+
+
 @pytest.mark.parametrize(("sampler", "parameters"), [(sample_cube_drop, DROP), (sample_block_release, BLOCK)])
 def test_the_same_seed_draws_the_same_scene(sampler: Any, parameters: dict[str, Any]) -> None:
     def draw(seed: int) -> Any:
@@ -102,3 +125,19 @@ def test_ranges_that_make_no_sense_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=sentence):
         sampler(np.random.default_rng(0), walls=WALLS[3], **(parameters | changes), **COMMON)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"length": (0.4, 0.2)}, "length must be two positive numbers"),
+        ({"aspect_ratio": (0, 2)}, "aspect_ratio must be two positive numbers"),
+        ({"aspect_ratio": (0.5, 2.6)}, "a length of 0.4 m with an aspect ratio of 2.6 does not fit a domain"),
+        ({"domain": (0.4, 0.5, 1.0)}, "does not fit a domain"),
+        ({"duration_tau": 0}, "duration_tau must be a finite number above 0"),
+        ({"duration_tau": "long"}, "duration_tau must be a number"),
+    ],
+)
+def test_columns_that_make_no_sense_are_refused(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        sample_column_collapse(np.random.default_rng(0), walls=WALLS[3], **(COLUMN | SPAN | changes))

@@ -132,6 +132,25 @@ def test_material_features_the_data_do_not_have(data_root: Path, tmp_path: Path)
         train(make_config(data_root, tmp_path, "model.material_features=[cohesion]"), tmp_path, None)
 
 
+@pytest.mark.parametrize(("choice", "spacing"), [((), 0.125), (("+data.every=1",), 0.0625)])
+def test_one_of_the_stored_lattices_is_trained_on(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, choice: tuple[str, ...], spacing: float
+) -> None:
+    data_root = tmp_path_factory.getbasetemp() / "thinned"  # made once for both
+    cfg = make_config(data_root, tmp_path, "+data.store_every=[2,1]", "model.connectivity_radius=0.22", *choice)
+    checkpoint = load_checkpoint(train(cfg, tmp_path, None))
+    assert checkpoint.simulator.config.spacing == spacing
+    assert checkpoint.data["store_every"] == [2, 1]
+    assert (data_root / "every_2" / "manifest.json").is_file() and (data_root / "every_1" / "manifest.json").is_file()
+
+
+def test_a_lattice_that_is_not_stored_is_refused_before_anything_is_generated(tmp_path: Path) -> None:
+    cfg = make_config(tmp_path / "data", tmp_path, "+data.store_every=[2,4]", "+data.every=3")
+    with pytest.raises(InputError, match="every is 3, but the set is stored with every 2 or 4"):
+        train(cfg, tmp_path, None)
+    assert not (tmp_path / "data").exists()
+
+
 def test_more_trajectories_than_there_are(data_root: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="2 training trajectories"):
         train(make_config(data_root, tmp_path, "training.num_train=5"), tmp_path, None)

@@ -161,6 +161,7 @@ def evaluate(
 def judge_scene(name: str, scene: Scene, checkpoint: Checkpoint, *, cache: Path, seed: int) -> SceneResult:
     """Run one scene by MPM (from the cache if it is there) and by the learned simulator, and measure both.
 
+    A simulator that was trained on every k-th point of fine simulations is judged on every k-th point of a fine one.
     The rollout starts from the reference's first frame, so both have the same particles, one to one. A rollout that
     ends before the reference or stops being finite is reported as failed; nothing is raised.
 
@@ -172,13 +173,14 @@ def judge_scene(name: str, scene: Scene, checkpoint: Checkpoint, *, cache: Path,
         seed: of the particles' placement.
     """
     from gns_pl.evaluation.progress import counting
-    from gns_pl.generation import reference_trajectory
+    from gns_pl.generation import chosen_every, reference_trajectory, thin_trajectory
     from gns_pl.rollout import rollout
 
-    interval = checkpoint.simulator.config.dt
-    reference = reference_trajectory(
-        scene, mpm=checkpoint.data["mpm"], frame_interval=interval, seed=seed, cache_directory=cache
-    )
+    interval, mpm = checkpoint.simulator.config.dt, checkpoint.data["mpm"]
+    reference = reference_trajectory(scene, mpm=mpm, frame_interval=interval, seed=seed, cache_directory=cache)
+    every = chosen_every(checkpoint.data)
+    middle = [(every - 1) // 2] * scene.dim  # of the lattices to choose from, the one that stands least to one side
+    reference = thin_trajectory(reference, mpm, seed, every, middle)
     with counting(f"{name}: learned rollout") as on_step:
         learned = rollout(checkpoint.simulator, cut(reference, 1), reference.num_frames - 1, on_step=on_step)
     finite = num_finite_frames(learned)

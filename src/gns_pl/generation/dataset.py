@@ -1,8 +1,9 @@
-"""`generate_dataset`: a folder of trajectories from a specification, made by all cores, safe to kill at any moment.
+"""`generate_dataset`: a folder of trajectories from a specification, made by all cores or a GPU, safe to kill.
 
 What a folder holds: `generation.json` (written first: the specification and the solver's version), one HDF5 file per
 trajectory, `timings.csv`, and `manifest.json`, written last. A file is there whole or not at all, so whatever is
-missing is what remains to be done.
+missing is what remains to be done. If every k-th lattice point is stored instead of all, each k has a folder `every_k`
+of its own with files and manifest, a data set like any other.
 """
 
 from __future__ import annotations
@@ -16,20 +17,28 @@ from typing import Any
 
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
-from gns_pl.generation import solver
+from gns_pl.generation import records, solver
+from gns_pl.generation.batches import run_batches
 from gns_pl.generation.lock import locked
 from gns_pl.generation.pool import Failure, available_cores, run_jobs
-from gns_pl.generation.produce import Job, Product, produce
+from gns_pl.generation.produce import Job, Measured, Place, Product, produce
 from gns_pl.generation.progress import GenerationProgress
-from gns_pl.generation.records import append_timing, check_folder, claim_folder, is_finished, write_failures
-from gns_pl.generation.spec import DatasetSpec, Planned, draw_plan
+from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
+from gns_pl.generation.thinning import stored_counts
 from gns_pl.io import SPLITS, Manifest, StorageError, remove_temporary_files, write_manifest
 from gns_pl.io.manifest import MANIFEST_VERSION
-from gns_pl.scene import fill_scene
+
+NOTEWORTHY_BYTES = 100_000_000
+"""What a process has in memory is told if it is more than this."""
 
 
 def generate_dataset(
-    spec: Mapping[str, Any], *, root: str | Path | None = None, num_workers: int | None = None, progress: bool = True
+    spec: Mapping[str, Any],
+    *,
+    root: str | Path | None = None,
+    num_workers: int | None = None,
+    device: str = "cpu",
+    progress: bool = True,
 ) -> Path:
     """Make the data set of `spec`, or what is missing of it, and return its folder.
 
@@ -37,10 +46,14 @@ def generate_dataset(
     turns. A trajectory that fails is named at the end, when all others are done.
 
     Args:
-        spec: a `DatasetSpec` as plain values; "root" in it is the folder.
+        spec: a `DatasetSpec` as plain values; "root" in it is the folder, "every" which of those stored is wanted.
         root: the folder, if "root" is not to be used; relative to the working directory.
-        num_workers: number of processes; None takes all cores.
+        num_workers: number of processes on the CPU; None takes all cores.
+        device: "cpu", "cuda", or "auto": the GPU where there is one.
         progress: tell on stderr what is coming and how long it takes.
+
+    Returns:
+        The folder with the manifest; of those stored, the one that is wanted.
 
     Raises:
         InputError: a specification that cannot be used, a folder that holds something else, or failed trajectories.
@@ -51,73 +64,101 @@ def generate_dataset(
     if not isinstance(place, str | Path) or not str(place):
         raise InputError("data: root must name the folder of the data set.")
     folder = Path(place)
-    if is_finished(folder, dataset):
-        return folder
-    plan = draw_plan(dataset)
+    wanted = records.stored_folders(folder, dataset)[chosen_every(spec)]
+    if records.is_finished(folder, dataset):
+        return wanted
     spacing = solver.solver_config(dataset.mpm).spacing
-    check_folder(folder, dataset)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{folder}: cannot be made ({error.strerror}).") from error
+    device = solver.choose_device(device)
+    plan = draw_plan(dataset)
+    jobs = [_job(folder, dataset, planned, spacing, device) for planned in plan]
+    records.check_folder(folder, dataset)
+    records.make_folder(folder)
     talk = GenerationProgress(dataset.name, {}, 1, enabled=progress)
     with locked(folder / ".lock", lambda: talk.say(f"{folder}: another process is generating it; waiting for it.")):
-        if not is_finished(folder, dataset):
-            claim_folder(folder, dataset)
-            remove_temporary_files(folder)
-            _generate(folder, dataset, plan, spacing, num_workers, progress)
-    return folder
+        if not records.is_finished(folder, dataset):
+            records.claim_folder(folder, dataset)
+            for stored in {folder, *records.stored_folders(folder, dataset).values()}:
+                remove_temporary_files(stored)
+            _generate(folder, dataset, plan, jobs, num_workers, progress)
+    return wanted
 
 
-def _generate(
-    folder: Path, dataset: DatasetSpec, plan: Sequence[Planned], spacing: float, num_workers: int | None, progress: bool
-) -> None:
-    todo = [planned for planned in plan if not (folder / planned.file_name).exists()]
-    particles = {planned.file_name: len(fill_scene(planned.scene, spacing).position) for planned in plan}
-    work = {planned.file_name: particles[planned.file_name] * planned.scene.duration for planned in todo}
-    size = sum(4 * planned.scene.dim * work[planned.file_name] / dataset.frame_interval for planned in todo)
-    _check_space(folder, size)
-    order = sorted(plan, key=lambda planned: -work.get(planned.file_name, float("inf")))  # long ones early: no tail
-    jobs = [_job(folder, dataset, planned) for planned in order]
-    workers = max(1, min(num_workers or available_cores(), len(jobs)))
-    products: dict[str, Product] = {}
-    failures: dict[str, Failure] = {}
-    with GenerationProgress(dataset.name, work, workers, enabled=progress) as told:
-        told.say(
-            f"{dataset.name}: {len(plan)} trajectories, {sum(particles.values()):,} particles in all, into {folder}; "
-            f"{len(todo)} to simulate ({size / 1e9:.2g} GB) by {workers} process{'es' if workers > 1 else ''}."
-        )
-        if todo:
-            solver.compile_solver(todo[0].scene, dataset.mpm, frame_interval=dataset.frame_interval)
-        with closing(run_jobs(produce, jobs, workers)) as outcomes:
-            for index, outcome in outcomes:
-                name = jobs[index].path.name
-                if isinstance(outcome, Failure):
-                    failures[name] = outcome
-                    told.say(f"{name} failed: {outcome.sentence}")
-                    if outcome.final:
-                        break
-                else:
-                    products[name] = outcome
-                    if outcome.wall_seconds is not None:
-                        append_timing(folder, name, outcome.wall_seconds)
-                if name in work:
-                    told.finish(name)
-    remove_temporary_files(folder)  # of processes ended because the disk is full
-    write_failures(folder, failures)
-    _raise_failures(folder, failures, len(plan))
-    write_manifest(folder, _manifest(dataset, plan, products, spacing))
-    told.say(f"{dataset.name}: {len(plan)} trajectories are in {folder}.")
-
-
-def _job(folder: Path, dataset: DatasetSpec, planned: Planned) -> Job:
+def _job(folder: Path, dataset: DatasetSpec, planned: Planned, spacing: float, device: str) -> Job:
+    num_points, stored = stored_counts(planned.scene, spacing, planned.offsets)
     return Job(
-        path=folder / planned.file_name,
+        name=planned.file_name,
+        places=tuple(
+            Place(place / planned.file_name, every, planned.offsets[every], stored[every])
+            for every, place in records.stored_folders(folder, dataset).items()
+        ),
         scene=planned.scene,
+        num_points=num_points,
         mpm=dataset.mpm,
         frame_interval=dataset.frame_interval,
         seed=planned.seed,
-        provenance={"dataset": dataset.name, "solver_version": solver.solver_version()},
+        device=device,
+        provenance={"dataset": dataset.name, "solver_version": solver.solver_version(), "device": device},
+    )
+
+
+def _generate(
+    folder: Path,
+    dataset: DatasetSpec,
+    plan: Sequence[Planned],
+    jobs: Sequence[Job],
+    num_workers: int | None,
+    progress: bool,
+) -> None:
+    work = {job.name: job.num_bytes for job in jobs if not job.is_made()}
+    order = sorted(jobs, key=lambda job: -work.get(job.name, float("inf")))  # long ones early: no tail
+    on_gpu = jobs[0].device == "cuda"
+    workers = 1 if on_gpu else max(1, min(num_workers or available_cores(), len(jobs)))
+    products: dict[str, Product] = {}
+    failures: dict[str, Failure] = {}
+    told = GenerationProgress(dataset.name, work, workers, enabled=progress)
+    told.say(_announcement(folder, dataset, jobs, workers))
+    _check_space(folder, sum(job.missing_bytes() for job in jobs))
+    if work and not on_gpu:  # before the clock starts: every process finds the kernels compiled
+        solver.compile_solver(order[-1].scene, dataset.mpm, frame_interval=dataset.frame_interval)
+    with told, closing(run_batches(order) if on_gpu else run_jobs(produce, order, workers)) as outcomes:
+        for index, outcome in outcomes:
+            name = order[index].name
+            if isinstance(outcome, Failure):
+                failures[name] = outcome
+                told.say(f"{name} failed: {outcome.sentence}")
+                if outcome.final:
+                    break
+            else:
+                products[name] = outcome
+                if outcome.wall_seconds is not None:
+                    records.append_timing(folder, name, outcome.wall_seconds)
+            if name in work:
+                told.finish(name)
+    stored = records.stored_folders(folder, dataset)
+    for place in stored.values():
+        remove_temporary_files(place)  # of processes ended because the disk is full
+    records.write_failures(folder, failures)
+    _raise_failures(folder, failures, len(plan))
+    for every, place in stored.items():
+        files = {name: product.files[every] for name, product in products.items()}
+        write_manifest(place, _manifest(dataset, plan, files, every))
+    told.say(f"{dataset.name}: {len(plan)} trajectories are in {folder}.")
+
+
+def _announcement(folder: Path, dataset: DatasetSpec, jobs: Sequence[Job], workers: int) -> str:
+    todo = [job for job in jobs if not job.is_made()]
+    particles, size = sum(job.num_points for job in jobs), sum(job.missing_bytes() for job in jobs)
+    thinned = "" if dataset.store_every == (1,) else f", every {' and every '.join(map(str, dataset.store_every))}"
+    if jobs[0].device == "cuda":
+        where = "on the GPU"
+    else:
+        where = f"by {workers} process{'es' if workers > 1 else ''}"
+        held = max((job.num_bytes for job in todo), default=0)
+        if held > NOTEWORTHY_BYTES:  # a simulation is in memory whole, so all cores may be too many processes
+            where += f", each with up to {held / 1e9:.2g} GB of positions in memory"
+    return (
+        f"{dataset.name}: {len(jobs)} trajectories, {particles:,} particles in all, into {folder}; "
+        f"{len(todo)} to simulate ({size / 1e9:.2g} GB{thinned}) {where}."
     )
 
 
@@ -140,25 +181,23 @@ def _raise_failures(folder: Path, failures: Mapping[str, Failure], total: int) -
         )
 
 
-def _manifest(
-    dataset: DatasetSpec, plan: Sequence[Planned], products: Mapping[str, Product], spacing: float
-) -> Manifest:
+def _manifest(dataset: DatasetSpec, plan: Sequence[Planned], files: Mapping[str, Measured], every: int) -> Manifest:
     dim = plan[0].scene.dim
     statistics = {"velocity": RunningStatistics(dim), "acceleration": RunningStatistics(dim)}
     for planned in plan:  # in the order of the files, so that the sums are always the same
         if planned.split == "train":
             for quantity, seen in statistics.items():
-                seen.merge(products[planned.file_name].statistics[quantity])
+                seen.merge(files[planned.file_name].statistics[quantity])
     return Manifest(
         format_version=MANIFEST_VERSION,
         name=dataset.name,
         dt=dataset.frame_interval,
         dim=dim,
-        spacing=spacing,
-        particle_types=tuple(sorted({kind for product in products.values() for kind in product.particle_types})),
-        material_features=products[plan[0].file_name].material_features,
+        spacing=every * solver.solver_config(dataset.mpm).spacing,
+        particle_types=tuple(sorted({kind for measured in files.values() for kind in measured.particle_types})),
+        material_features=files[plan[0].file_name].material_features,
         splits={split: tuple(p.file_name for p in plan if p.split == split) for split in SPLITS},
-        files={planned.file_name: products[planned.file_name].record for planned in plan},
+        files={planned.file_name: files[planned.file_name].record for planned in plan},
         statistics={quantity: seen.to_dict() for quantity, seen in statistics.items()},
         seed=dataset.seed,
         spec=json.loads(json.dumps(dataset.to_dict())),

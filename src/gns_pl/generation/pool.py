@@ -66,7 +66,7 @@ def run_jobs(
     """
     if num_workers <= 1:
         for index, job in enumerate(jobs):
-            yield index, _attempt(function, job)
+            yield index, attempt(function, job)
         return
     waiting = deque(range(len(jobs)))
     workers: list[_Worker[J]] = []
@@ -131,7 +131,7 @@ def _serve(connection: Connection, function: Callable[[J], R]) -> None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
     with contextlib.suppress(EOFError, OSError):
         while True:
-            connection.send(_attempt(function, connection.recv()))
+            connection.send(attempt(function, connection.recv()))
 
 
 def _end_with(sentinel: int) -> None:
@@ -139,7 +139,8 @@ def _end_with(sentinel: int) -> None:
     os._exit(1)
 
 
-def _attempt(function: Callable[[J], R], job: J) -> R | Failure:
+def attempt(function: Callable[[J], R], job: J) -> R | Failure:
+    """Return what `function` makes of `job`, or why it makes nothing of it."""
     try:
         return function(job)
     except InputError as error:

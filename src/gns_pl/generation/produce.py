@@ -1,4 +1,4 @@
-"""One file of a data set: simulated if it is not there, checked if it is, and measured."""
+"""The files of one trajectory: simulated if they are not there, checked if they are, and measured."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
 from gns_pl.generation import solver
+from gns_pl.generation.thinning import thin_trajectory
 from gns_pl.io import (
     FileRecord,
+    TrajectoryHeader,
     file_sha256,
     open_trajectory,
     read_header,
@@ -23,87 +26,184 @@ from gns_pl.io import (
     write_trajectory,
 )
 from gns_pl.scene import Scene
+from gns_pl.trajectory import Trajectory
 
 BLOCK_BYTES = 32 * 1024 * 1024
 """Positions measured at a time."""
 
 
 @dataclass(frozen=True)
-class Job:
-    """What has to be at `path`.
+class Place:
+    """A file, and which part of the simulation it holds.
 
     Attributes:
         path: of the file.
-        scene: what to simulate.
-        mpm: settings of the solver.
-        frame_interval: time between frames [s].
-        seed: of the solver's random placement.
-        provenance: goes into the file beside what the solver says.
+        every: k: it holds every k-th lattice point per direction.
+        offset: of the lattice it holds [D].
+        num_points: in it.
     """
 
     path: Path
-    scene: Scene
-    mpm: Mapping[str, Any]
-    frame_interval: float
-    seed: int
-    provenance: Mapping[str, object]
+    every: int
+    offset: tuple[int, ...]
+    num_points: int
 
 
 @dataclass(frozen=True)
-class Product:
-    """A finished file and what the manifest wants to know of it.
+class Job:
+    """A simulation and the files that have to be there of it.
+
+    Attributes:
+        name: of the files.
+        places: the files.
+        scene: what to simulate.
+        num_points: that are simulated.
+        mpm: settings of the solver.
+        frame_interval: time between frames [s].
+        seed: of the solver's random placement.
+        device: "cpu" or "cuda".
+        provenance: goes into the files beside what the solver says.
+    """
+
+    name: str
+    places: tuple[Place, ...]
+    scene: Scene
+    num_points: int
+    mpm: Mapping[str, Any]
+    frame_interval: float
+    seed: int
+    device: str
+    provenance: Mapping[str, object]
+
+    def is_made(self) -> bool:
+        """Return whether all files are there."""
+        return all(place.path.exists() for place in self.places)
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Positions of one point in all frames [bytes]."""
+        return 4 * self.scene.dim * (round(self.scene.duration / self.frame_interval) + 1)
+
+    @property
+    def num_bytes(self) -> int:
+        """Positions of all points in all frames [bytes]: what the simulation leaves in memory."""
+        return self.bytes_per_point * self.num_points
+
+    def missing_bytes(self) -> int:
+        """Return the positions in the files that are not there [bytes]."""
+        return self.bytes_per_point * sum(place.num_points for place in self.places if not place.path.exists())
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the manifest wants to know of a file.
 
     Attributes:
         record: its sum and sizes.
         particle_types: that occur in it.
         material_features: names of its material features.
         statistics: "velocity" and "acceleration".
-        wall_seconds: that the solver took, or None if the file was there.
     """
 
     record: FileRecord
     particle_types: tuple[int, ...]
     material_features: tuple[str, ...]
     statistics: Mapping[str, RunningStatistics]
+
+
+@dataclass(frozen=True)
+class Product:
+    """The finished files of a simulation.
+
+    Attributes:
+        files: k → what is in the file of every k-th point.
+        wall_seconds: that the solver took, or None if the files were there.
+    """
+
+    files: Mapping[int, Measured]
     wall_seconds: float | None
 
 
 def produce(job: Job) -> Product:
-    """Make sure that the file of `job` is there, and measure it.
+    """Make sure that the files of `job` are there, and measure them.
+
+    The whole simulation is in memory until it is written: 4 D bytes per point and frame.
 
     Raises:
         InputError: settings the solver refuses, or a file that holds something else; it is never overwritten.
         StorageError: the disk refuses.
         Exception: whatever the solver raises.
     """
-    wall_seconds = None
-    if not job.path.exists():
-        start = time.perf_counter()
-        trajectory = solver.run_solver(job.scene, job.mpm, frame_interval=job.frame_interval, seed=job.seed)
-        wall_seconds = time.perf_counter() - start
-        write_trajectory(job.path, replace(trajectory, provenance={**trajectory.provenance, **job.provenance}))
-        del trajectory
-    header = read_header(job.path)
+    if job.is_made():
+        return measure_files(job)
+    start = time.perf_counter()
+    trajectory = solver.run_solver(
+        job.scene, job.mpm, frame_interval=job.frame_interval, seed=job.seed, device=job.device
+    )
+    return store(job, trajectory, time.perf_counter() - start)
+
+
+def store(job: Job, trajectory: Trajectory, wall_seconds: float) -> Product:
+    """Write those files of `job` that are not there, and measure all.
+
+    A file is the same bytes whenever it is made on a CPU, so it does not matter if a killed run has left some of them.
+    Those made on a GPU agree within its rounding.
+
+    Args:
+        job: what was simulated.
+        trajectory: of all points.
+        wall_seconds: that the solver took.
+
+    Raises:
+        InputError: a file that holds something else.
+        StorageError: the disk refuses.
+    """
+    for place in job.places:
+        if not place.path.exists():
+            kept = thin_trajectory(trajectory, job.mpm, job.seed, place.every, place.offset)
+            write_trajectory(place.path, replace(kept, provenance={**kept.provenance, **job.provenance}))
+    return measure_files(job, wall_seconds)
+
+
+def measure_files(job: Job, wall_seconds: float | None = None) -> Product:
+    """Check and measure the files of `job`.
+
+    Raises:
+        InputError: a file that holds something else.
+    """
+    return Product({place.every: _measure_file(place, job) for place in job.places}, wall_seconds)
+
+
+def _measure_file(place: Place, job: Job) -> Measured:
+    header, static = read_header(place.path), read_static(place.path)
     if header.scene != job.scene or header.dt != job.frame_interval:
-        raise InputError(f"{job.path}: holds another scene than this data set has there; move it away.")
-    return Product(
-        record=FileRecord(file_sha256(job.path), header.num_frames, header.num_particles),
-        particle_types=tuple(int(kind) for kind in np.unique(read_static(job.path)["particle_type"])),
+        raise InputError(f"{place.path}: holds another scene than this data set has there; move it away.")
+    lattice = (header.provenance.get("every", 1), header.provenance.get("offset", list(place.offset)))
+    if lattice != (place.every, list(place.offset)):
+        raise InputError(f"{place.path}: holds other points than this data set has there; move it away.")
+    return Measured(
+        record=FileRecord(file_sha256(place.path), header.num_frames, header.num_particles),
+        particle_types=tuple(int(kind) for kind in np.unique(static["particle_type"])),
         material_features=header.material_features,
-        statistics=measure(job.path),
-        wall_seconds=wall_seconds,
+        statistics=measure(place.path, header, static["initial_velocity"]),
     )
 
 
-def measure(path: Path) -> dict[str, RunningStatistics]:
+def measure(
+    path: Path, header: TrajectoryHeader, initial_velocity: NDArray[np.floating]
+) -> dict[str, RunningStatistics]:
     """Return the statistics of velocity and acceleration over a file, read block by block.
 
     They are those of `Trajectory.velocity` and `Trajectory.acceleration`.
+
+    Args:
+        path: of the file.
+        header: of the file.
+        initial_velocity: in the file [N, D] [m/s].
     """
-    header = read_header(path)
     dim, dt = header.dim, header.dt
     velocity, acceleration = RunningStatistics(dim), RunningStatistics(dim)
-    last = read_static(path)["initial_velocity"].astype(np.float64)[None]
+    last = initial_velocity.astype(np.float64)[None]
     velocity.update(last[0])
     block = max(1, BLOCK_BYTES // (8 * dim * header.num_particles))
     with open_trajectory(path) as file:

@@ -19,17 +19,28 @@ FAILURES_NAME = "failures.log"
 TIMINGS_NAME = "timings.csv"
 
 
+def stored_folders(folder: Path, dataset: DatasetSpec) -> dict[int, Path]:
+    """Return k → folder of the data set of every k-th point: `folder` itself if all points are all that is stored."""
+    if dataset.store_every == (1,):
+        return {1: folder}
+    return {every: folder / f"every_{every}" for every in dataset.store_every}
+
+
 def is_finished(folder: Path, dataset: DatasetSpec) -> bool:
-    """Return whether `folder` holds the whole data set; sums are not computed (`verify_dataset` does that).
+    """Return whether `folder` holds all that is to be stored; sums are not computed (`verify_dataset` does that).
 
     Raises:
-        InputError: it holds another one, or a damaged manifest.
+        InputError: it holds another data set, or a damaged manifest.
     """
-    if not (folder / MANIFEST_NAME).exists():
+    return all(_is_complete(stored, dataset) for stored in stored_folders(folder, dataset).values())
+
+
+def _is_complete(stored: Path, dataset: DatasetSpec) -> bool:
+    if not (stored / MANIFEST_NAME).exists():
         return False
-    manifest = read_manifest(folder)
-    _check_same(folder, manifest.spec, dataset)
-    return all((folder / name).is_file() for name in manifest.files)
+    manifest = read_manifest(stored)
+    _check_same(stored, manifest.spec, dataset)
+    return all((stored / name).is_file() for name in manifest.files)
 
 
 def check_folder(folder: Path, dataset: DatasetSpec) -> None:
@@ -42,7 +53,7 @@ def check_folder(folder: Path, dataset: DatasetSpec) -> None:
         raise InputError(f"{folder}: is a file, not a folder.")
     path = folder / BEGUN_NAME
     if not path.exists():
-        if (folder / MANIFEST_NAME).exists():
+        if any((stored / MANIFEST_NAME).exists() for stored in stored_folders(folder, dataset).values()):
             raise InputError(f"{folder}: lacks files of its manifest and {BEGUN_NAME}, so copy the whole folder again.")
         if folder.exists() and any(not entry.name.startswith(".") for entry in folder.iterdir()):
             raise InputError(f"{folder}: is not empty and not a data set of gns_pl; choose another folder.")
@@ -61,7 +72,9 @@ def check_folder(folder: Path, dataset: DatasetSpec) -> None:
 
 
 def claim_folder(folder: Path, dataset: DatasetSpec) -> None:
-    """Check `folder` again and write down what is generated in it; the caller holds the folder's lock.
+    """Check `folder` again, write down what is generated in it, and make the folders that are stored.
+
+    The caller holds the folder's lock.
 
     Raises:
         InputError: as `check_folder`.
@@ -71,6 +84,20 @@ def claim_folder(folder: Path, dataset: DatasetSpec) -> None:
     if not (folder / BEGUN_NAME).exists():
         text = json.dumps({"solver_version": solver_version(), "spec": dataset.to_dict()}, indent=1) + "\n"
         write_atomically(folder / BEGUN_NAME, text.encode())
+    for stored in stored_folders(folder, dataset).values():
+        make_folder(stored)
+
+
+def make_folder(folder: Path) -> None:
+    """Make `folder` where it is not there.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot be made ({error.strerror}).") from error
 
 
 def append_timing(folder: Path, file_name: str, wall_seconds: float) -> None:

@@ -4,17 +4,40 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 import gns_pl
-from gns_pl.scene import Scene, part_from_dict
+from gns_pl.errors import InputError
+from gns_pl.scene import Particles, Scene, fill_scene, part_from_dict
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from gns_pl.mpm import MPMConfig
+
+DEVICES = ("auto", "cpu", "cuda")
+
+
+def choose_device(device: str) -> str:
+    """Return "cpu" or "cuda": what is asked for, with "auto" the GPU where there is one.
+
+    Raises:
+        InputError: an unknown device, or "cuda" where numba finds none.
+    """
+    if device not in DEVICES:
+        raise InputError(f"device must be one of {', '.join(DEVICES)}, not {device!r}.")
+    if device == "cpu":
+        return device
+    from numba import cuda
+
+    found = bool(cuda.is_available())
+    if device == "cuda" and not found:
+        raise InputError("device=cuda: numba finds no CUDA device here; choose device=cpu, or auto.")
+    return "cuda" if found else "cpu"
 
 
 def solver_config(mpm: Mapping[str, Any]) -> MPMConfig:
@@ -29,6 +52,16 @@ def solver_config(mpm: Mapping[str, Any]) -> MPMConfig:
     return config
 
 
+def place_points(scene: Scene, mpm: Mapping[str, Any], seed: int) -> Particles:
+    """Return the points from which a run of `scene` starts, in their order in its trajectory.
+
+    Raises:
+        InputError: settings the solver refuses.
+    """
+    config = solver_config(mpm)
+    return fill_scene(scene, config.spacing, jitter=config.jitter, generator=np.random.default_rng(seed))
+
+
 def run_solver(
     scene: Scene,
     mpm: Mapping[str, Any],
@@ -36,6 +69,7 @@ def run_solver(
     frame_interval: float,
     seed: int,
     on_frame: Callable[[int, int], None] | None = None,
+    device: str = "cpu",
 ) -> Trajectory:
     """Simulate `scene` by the material point method; arguments as `gns_pl.mpm.simulate`.
 
@@ -45,7 +79,22 @@ def run_solver(
     """
     from gns_pl.mpm import simulate
 
-    return simulate(scene, solver_config(mpm), frame_interval=frame_interval, seed=seed, on_frame=on_frame)
+    config = solver_config(mpm)
+    return simulate(scene, config, frame_interval=frame_interval, seed=seed, on_frame=on_frame, device=device)
+
+
+def run_batch(
+    scenes: Sequence[Scene], mpm: Mapping[str, Any], *, frame_interval: float, seeds: Sequence[int]
+) -> list[Trajectory]:
+    """Simulate many scenes at once on the GPU; arguments as `gns_pl.mpm.simulate_batch`.
+
+    Raises:
+        InputError: settings the solver refuses.
+        SimulationError: one of the runs became non-finite.
+    """
+    from gns_pl.mpm import simulate_batch
+
+    return simulate_batch(scenes, solver_config(mpm), frame_interval=frame_interval, seeds=seeds)
 
 
 def compile_solver(scene: Scene, mpm: Mapping[str, Any], *, frame_interval: float) -> None:

@@ -6,7 +6,14 @@ and no file of trajectories is known here.
 """
 
 from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall, signed_distance
-from gns_pl.scene.catalogue import block_release, column_collapse, cube_drop, sample_block_release, sample_cube_drop
+from gns_pl.scene.catalogue import (
+    block_release,
+    column_collapse,
+    cube_drop,
+    sample_block_release,
+    sample_column_collapse,
+    sample_cube_drop,
+)
 from gns_pl.scene.definition import FACES, Body, Material, Scene
 from gns_pl.scene.filling import Particles, fill_scene
 from gns_pl.scene.plain import part_from_dict, read_scene, scene_from_dict, write_scene
@@ -28,6 +35,7 @@ __all__ = [
     "part_from_dict",
     "read_scene",
     "sample_block_release",
+    "sample_column_collapse",
     "sample_cube_drop",
     "scene_from_dict",
     "signed_distance",

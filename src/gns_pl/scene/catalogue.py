@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -121,7 +122,7 @@ def sample_cube_drop(
     Raises:
         InputError: ranges that do not fit the domain.
     """
-    low, high = _range("cube drops", "side", side)
+    low, high = checked_range("cube drops", "side", side)
     domain = checked_numbers("cube drops", "domain", domain)
     speed = checked_number("cube drops", "speed", speed, 0.0)
     max_drop = checked_number("cube drops", "max_drop", max_drop, 0.0)
@@ -161,8 +162,8 @@ def sample_block_release(
     Raises:
         InputError: ranges that do not fit the domain.
     """
-    low, high = _range("block releases", "length", length)
-    low_ratio, high_ratio = _range("block releases", "aspect_ratio", aspect_ratio)
+    low, high = checked_range("block releases", "length", length)
+    low_ratio, high_ratio = checked_range("block releases", "aspect_ratio", aspect_ratio)
     domain = checked_numbers("block releases", "domain", domain)
     if not 0 <= checked_number("block releases", "at_wall", at_wall) <= 1:
         raise InputError(f"block releases: at_wall is a probability between 0 and 1, not {at_wall}.")
@@ -181,7 +182,53 @@ def sample_block_release(
     )
 
 
-def _range(owner: str, name: str, values: Sequence[float]) -> tuple[float, float]:
+def sample_column_collapse(
+    generator: np.random.Generator,
+    *,
+    domain: Sequence[float],
+    length: Sequence[float],
+    aspect_ratio: Sequence[float],
+    duration_tau: float,
+    gravity: float,
+    **rest: object,
+) -> Scene:
+    """Draw a `column_collapse`: length and height over length uniform in their ranges.
+
+    Args:
+        generator: source of randomness.
+        domain: edge lengths of the box [D] [m].
+        length: smallest and largest L0 [m].
+        aspect_ratio: smallest and largest H0 / L0.
+        duration_tau: simulated time, in units of √(H0/g).
+        gravity: magnitude [m/s²].
+        **rest: what `column_collapse` needs besides.
+
+    Raises:
+        InputError: ranges whose largest column does not fit the domain; cutting it would change its aspect ratio.
+    """
+    low, high = checked_range("column collapses", "length", length)
+    low_ratio, high_ratio = checked_range("column collapses", "aspect_ratio", aspect_ratio)
+    domain = checked_numbers("column collapses", "domain", domain)
+    duration_tau = checked_number("column collapses", "duration_tau", duration_tau, 0.0, above=True)
+    if high >= domain[0] or high * high_ratio > domain[-1]:
+        raise InputError(
+            f"column collapses: a length of {high:g} m with an aspect ratio of {high_ratio:g} does not fit a domain of "
+            f"{list(domain)} m."
+        )
+    drawn = generator.uniform(low, high)
+    height = drawn * generator.uniform(low_ratio, high_ratio)
+    return column_collapse(
+        domain=domain,
+        length=drawn,
+        height=height,
+        gravity=gravity,
+        duration=duration_tau * math.sqrt(height / gravity),
+        **rest,  # type: ignore[arg-type]
+    )
+
+
+def checked_range(owner: str, name: str, values: Sequence[float]) -> tuple[float, float]:
+    """Return `values` as two positive numbers, the smaller first, or raise an `InputError` that names the field."""
     numbers = checked_numbers(owner, name, values)
     if len(numbers) != 2 or not 0 < numbers[0] <= numbers[1]:
         raise InputError(f"{owner}: {name} must be two positive numbers, the smaller first, not {list(numbers)}.")

@@ -56,7 +56,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         print(f"{resume} has made its {steps} steps already; nothing is left to train.")
         return resume
     seed_everything(settings["seed"], workers=True, verbose=False)
-    directory = generate_dataset(settings["data"])
+    directory = generate_dataset(settings["data"], device="auto")
     datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
     module = build_module(settings, training, datamodule)
     last = output / "last.ckpt"
