@@ -28,6 +28,7 @@ test-validation: $(STAMP)
 	$(BIN)/python -m pytest -m validation
 
 test-gpu: $(STAMP)
+	$(BIN)/python -c 'import numba_cuda' 2>/dev/null || $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[cuda]'
 	$(BIN)/python -m pytest -m gpu
 
 lint: $(STAMP)

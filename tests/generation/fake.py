@@ -86,6 +86,7 @@ def fake_solver(
     seed: int,
     on_frame: Callable[[int, int], None] | None = None,
     device: str = "cpu",
+    num_threads: int = 1,
 ) -> Trajectory:
     """Move every particle freely under gravity until the floor stops it."""
     spacing = mpm["cell_size"] / mpm["points_per_direction"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gns_pl.mpm import SimulationError, simulate
-from gns_pl.mpm.solver import largest_speed, make_grid
+from gns_pl.mpm.plan import largest_speed, make_grid
 from gns_pl.scene import Body, Scene, Wall, fill_scene
 from tests.mpm.conftest import make_box, make_elastic, make_mpm, make_sand
 

@@ -36,7 +36,8 @@ def reference_trajectory(
     """Return `scene` simulated by the material point method, from the cache if this very run was made before.
 
     The name of the file holds a hash of scene, settings, frame interval, seed and the solver's own sources, so nothing
-    out of date is ever found. `provenance["wall_seconds"]` is the time the solver took, without compilation and files.
+    out of date is ever found. `provenance["wall_seconds"]` is the time the solver took, on `provenance["num_threads"]`
+    threads, without compilation and files.
 
     Args:
         scene: what to simulate.
@@ -87,7 +88,8 @@ def _cached(path: Path, scene: Scene) -> Trajectory:
 def _run(scene: Scene, settings: Mapping[str, Any], frame_interval: float, seed: int, progress: bool) -> Trajectory:
     with Progress(console=Console(stderr=True), disable=not progress, transient=True) as bar:
         task = bar.add_task(f"{scene.name}: material point reference", total=None)
-        solver.compile_solver(scene, settings, frame_interval=frame_interval)
+        num_threads = solver.num_threads_alone(scene, settings)
+        solver.compile_solver(scene, settings, frame_interval=frame_interval, num_threads=num_threads)
         start = time.perf_counter()
         trajectory = solver.run_solver(
             scene,
@@ -95,6 +97,7 @@ def _run(scene: Scene, settings: Mapping[str, Any], frame_interval: float, seed:
             frame_interval=frame_interval,
             seed=seed,
             on_frame=lambda frame, total: bar.update(task, completed=frame + 1, total=total),
+            num_threads=num_threads,
         )
         wall_seconds = time.perf_counter() - start
     provenance = {

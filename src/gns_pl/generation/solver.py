@@ -13,6 +13,7 @@ import numpy as np
 
 import gns_pl
 from gns_pl.errors import InputError
+from gns_pl.generation.pool import available_cores
 from gns_pl.scene import Particles, Scene, fill_scene, part_from_dict
 from gns_pl.trajectory import Trajectory
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from gns_pl.mpm import MPMConfig
 
 DEVICES = ("auto", "cpu", "cuda")
+
+LARGE = 5_000
+"""From so many points on the threads of one run gain more than their waiting for each other costs."""
 
 
 def choose_device(device: str) -> str:
@@ -70,6 +74,7 @@ def run_solver(
     seed: int,
     on_frame: Callable[[int, int], None] | None = None,
     device: str = "cpu",
+    num_threads: int = 1,
 ) -> Trajectory:
     """Simulate `scene` by the material point method; arguments as `gns_pl.mpm.simulate`.
 
@@ -80,7 +85,27 @@ def run_solver(
     from gns_pl.mpm import simulate
 
     config = solver_config(mpm)
-    return simulate(scene, config, frame_interval=frame_interval, seed=seed, on_frame=on_frame, device=device)
+    return simulate(
+        scene,
+        config,
+        frame_interval=frame_interval,
+        seed=seed,
+        on_frame=on_frame,
+        device=device,
+        num_threads=num_threads,
+    )
+
+
+def num_threads_alone(scene: Scene, mpm: Mapping[str, Any]) -> int:
+    """Return how many threads a run of `scene` should have if nothing else runs: all cores, unless it is small.
+
+    The result does not depend on it, only the time.
+    """
+    import numba
+
+    num_points = len(fill_scene(scene, solver_config(mpm).spacing).position)
+    cores = min(available_cores(), int(numba.config.NUMBA_NUM_THREADS))
+    return cores if num_points >= LARGE else 1
 
 
 def run_batch(
@@ -97,13 +122,15 @@ def run_batch(
     return simulate_batch(scenes, solver_config(mpm), frame_interval=frame_interval, seeds=seeds)
 
 
-def compile_solver(scene: Scene, mpm: Mapping[str, Any], *, frame_interval: float) -> None:
+def compile_solver(scene: Scene, mpm: Mapping[str, Any], *, frame_interval: float, num_threads: int = 1) -> None:
     """Run one frame of `scene`, so that later runs, in any process, find the kernels compiled.
 
     What goes wrong here will go wrong again, and be told, in the run proper.
     """
     with contextlib.suppress(Exception):
-        run_solver(scene.replace(duration=frame_interval), mpm, frame_interval=frame_interval, seed=0)
+        run_solver(
+            scene.replace(duration=frame_interval), mpm, frame_interval=frame_interval, seed=0, num_threads=num_threads
+        )
 
 
 @cache

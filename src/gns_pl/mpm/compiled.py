@@ -42,6 +42,9 @@ _FOLDER = _cache_folder()
 def compiled(function: Callable[..., Any], name: str = "", *, parallel: bool = False) -> Any:
     """Compile a module-level function with `njit`: cached, without the GIL, NaN kept.
 
+    Every kernel is put into its callers whole. Left to choose, LLVM keeps some as functions, of which a process that
+    has just compiled them and one that loads them from the cache run different code, and the last bits differ.
+
     If the folder of the cache cannot be written, numba falls back on its own places.
 
     Args:
@@ -52,7 +55,8 @@ def compiled(function: Callable[..., Any], name: str = "", *, parallel: bool = F
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_FOLDER / name)  # read when the decorator runs, so it can be put back at once
     try:
-        return numba.njit(cache=True, nogil=True, fastmath=FASTMATH, parallel=parallel)(function)
+        options = {"parallel": True} if parallel else {"forceinline": True}
+        return numba.njit(cache=True, nogil=True, fastmath=FASTMATH, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
 

@@ -17,7 +17,7 @@ import numpy as np
 from numba import prange
 
 from gns_pl.mpm.compiled import compiled, variant
-from gns_pl.mpm.obstacles import hold_at_obstacle
+from gns_pl.mpm.obstacles import OBSTACLE_BAND, hold_at_obstacle
 from gns_pl.mpm.shape import linear_axis_shape
 from gns_pl.mpm.transfer import grid_to_points, points_to_grid
 from gns_pl.mpm.walls import clearance, hold_at_walls
@@ -162,7 +162,8 @@ def move_node(i, j, k, grid, gap, cells, nodes, inverse_cell, gravity, friction,
     for o in range(obstacles.shape[0]):
         vx, vy, vz = hold_at_obstacle(
             obstacles[o], real(i) / inverse_cell[0], real(j) / inverse_cell[1], real(k) / inverse_cell[2],
-            gap[node, 3 + o], radius[0] / inverse_cell[0], dt, vx, vy, vz,
+            gap[node, 3 + o], radius[0] / inverse_cell[0],
+            OBSTACLE_BAND / max(inverse_cell[0], inverse_cell[2]), dt, vx, vy, vz,
         )  # fmt: skip
     sx = -1.0 if i == 0 else (1.0 if i == cells[0] else 0.0)
     sy = 0.0 if cells[1] == 0 else (-1.0 if j == 0 else (1.0 if j == cells[1] else 0.0))

@@ -1,9 +1,9 @@
 """Obstacles inside the box, sloping planes and upright cuboids: distance, contact of nodes, approach of points.
 
-A wall of the box lies on grid nodes and holds them alone. An obstacle does not, so it holds every node inside it that
-material reaches: such a node may not move further in than the nearest point of material is away (less its radius),
-and slides along with Coulomb friction, by the same rules as at a wall. Points are slowed on their last way to the
-surface so that none goes through.
+A wall of the box lies on grid nodes and holds them alone. An obstacle does not, so it holds every node inside it, and
+just outside (`OBSTACLE_BAND`), that material reaches: such a node may not move further in than the nearest point of
+material is away (less its radius), and slides along with Coulomb friction, by the same rules as at a wall. Points are
+slowed on their last way to the surface so that none goes through.
 
 An obstacle is a row of numbers: kind, a (3), b (3), friction. A plane has a point a and its normal b into the open; a
 cuboid its lower corner a and upper corner b. Lengths in metres from the lower corner of the box. In the plane, y = 0
@@ -24,6 +24,10 @@ from gns_pl.mpm.walls import STICK, clearance, normal_velocity, slip_factor
 from gns_pl.scene import Plane, Scene
 
 PLANE, CUBOID = 0.0, 1.0
+OBSTACLE_BAND = 0.7
+"""Nodes up to this far outside an obstacle are held as well [cells]. With the inner nodes alone material is squeezed as
+if the surface lay up to a cell deeper, and a deposit loses up to a third of its height; with whole cells it gains as
+much. In between, volume is right to some 10 % of a cell's layer wherever the surface cuts the grid."""
 FAR = 1e6
 """Half the width of a plane scene's cuboids along y [m]."""
 
@@ -88,19 +92,20 @@ def beyond(x, low, high):
 
 
 @compiled
-def hold_at_obstacle(obstacle, x, y, z, gap, radius, dt, vx, vy, vz):
-    """Return the velocity of a node after an obstacle [m/s]: unchanged outside it.
+def hold_at_obstacle(obstacle, x, y, z, gap, radius, band, dt, vx, vy, vz):
+    """Return the velocity of a node after an obstacle [m/s], unchanged away from it.
 
     Args:
         obstacle: [8] row of the table.
         x, y, z: the node's place [m].
         gap: smallest distance from the obstacle of a point that reaches the node [m].
         radius: half the spacing of the points [m].
+        band: distance from the surface up to which nodes are held [m].
         dt: time step [s].
         vx, vy, vz: velocity before [m/s].
     """
     distance, nx, ny, nz = signed_distance(obstacle, x, y, z)
-    if distance > 0.0:
+    if distance > band:
         return vx, vy, vz
     friction = obstacle[7]
     inward = -(vx * nx + vy * ny + vz * nz)

@@ -1,221 +1,24 @@
-"""`simulate`: fill a scene, choose grid and time step, run, and keep the frames."""
+"""`simulate` and `simulate_batch`: fill scenes, run them, and keep the frames."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import gns_pl
 from gns_pl.errors import InputError
-from gns_pl.mpm.config import TRANSFERS, MPMConfig, SimulationError
-from gns_pl.scene import FACES, Particles, Scene, fill_scene
+from gns_pl.mpm.config import MPMConfig, SimulationError
+from gns_pl.mpm.plan import Plan, make_plan, make_setting, make_state
+from gns_pl.scene import Particles, Scene, fill_scene
 from gns_pl.trajectory import Trajectory, start_trajectory
 
-MIN_STEPS_PER_FRAME = 4
-"""With fewer, accelerations taken from frames are rough."""
-
-MAX_SPEED_RATIO = 3.0
-"""A point faster than this times `largest_speed` means that the run is unstable: healthy runs stay below 1.4
-(collisions pass speed on), unstable ones go beyond 9, mostly without ever becoming infinite."""
-
-
-@dataclass(frozen=True)
-class Grid:
-    """The grid of a scene; in the plane its y axis has no cells and one layer of nodes.
-
-    Attributes:
-        cells: cells per axis (x, y, z).
-        nodes: nodes per axis.
-        cell: edges of a cell [m]; 1 along the y axis of a plane scene.
-        lower: lower corner of the box [m]; 0 along the y axis of a plane scene.
-        axes: the scene's axes among x, y, z.
-    """
-
-    cells: tuple[int, int, int]
-    nodes: tuple[int, int, int]
-    cell: tuple[float, float, float]
-    lower: tuple[float, float, float]
-    axes: tuple[int, ...]
-
-
-def make_grid(scene: Scene, cell_size: float) -> Grid:
-    """Return the grid whose cells come nearest to `cell_size` and divide the box, at least two along each axis.
-
-    Raises:
-        InputError: cells larger than the box's shortest edge.
-    """
-    edges = [high - low for low, high in zip(scene.lower, scene.upper, strict=True)]
-    if cell_size > min(edges):
-        raise InputError(
-            f"mpm: a cell of {cell_size:g} m is larger than the shortest edge of the domain, {min(edges):g} m."
-        )
-    axes = (0, 2) if scene.dim == 2 else (0, 1, 2)
-    cells, cell, lower = [0, 0, 0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]
-    for axis, edge, low in zip(axes, edges, scene.lower, strict=True):
-        cells[axis] = max(2, round(edge / cell_size))
-        cell[axis] = edge / cells[axis]
-        lower[axis] = low
-    return Grid(
-        cells=(cells[0], cells[1], cells[2]),
-        nodes=(cells[0] + 1, cells[1] + 1, cells[2] + 1),
-        cell=(cell[0], cell[1], cell[2]),
-        lower=(lower[0], lower[1], lower[2]),
-        axes=axes,
-    )
-
-
-def largest_speed(scene: Scene, particles: Particles) -> float:
-    """Return the speed of a free fall from the scene's highest to its lowest place with its initial speed [m/s]."""
-    gravity = np.array(scene.gravity)
-    lowest = np.maximum(gravity * scene.lower, gravity * scene.upper).sum()  # of −g·x, with its sign turned
-    drop = max(float(lowest - (particles.position @ gravity).min()), 0.0)
-    initial = float(np.square(particles.velocity).sum(axis=1).max())
-    return math.sqrt(initial + 2 * drop)
-
-
-def num_steps_per_frame(scene: Scene, config: MPMConfig, grid: Grid, speed: float, frame_interval: float) -> int:
-    """Return the whole number of steps in a frame, at least `MIN_STEPS_PER_FRAME`.
-
-    The step is the smaller of two: the Courant number asked for, on P-wave plus point speed; and a Courant number of 1
-    on the P-wave speed raised by what the bulk viscosity adds to the stiffness of a cell, c (b + √(1 + b²)), a damped
-    oscillator's stability limit.
-    """
-    cell = min(grid.cell[axis] for axis in grid.axes)
-    stiffer = config.bulk_viscosity + math.sqrt(1 + config.bulk_viscosity**2)
-    step = math.inf
-    for body in scene.bodies:
-        wave = scene.materials[body.material].p_wave_speed
-        limit = max(config.courant, 1.0) * cell / (wave * stiffer + speed)
-        step = min(step, config.courant * cell / (wave + speed), limit)
-    return max(MIN_STEPS_PER_FRAME, math.ceil(frame_interval / step * (1 - 1e-9)))
-
-
-@dataclass(frozen=True)
-class Plan:
-    """How a scene will be run.
-
-    Attributes:
-        scene: that is run.
-        config: with these settings.
-        grid: on this grid.
-        speed: largest that is expected [m/s].
-        steps: in a frame.
-        dt: time step [s].
-        num_frames: to keep.
-    """
-
-    scene: Scene
-    config: MPMConfig
-    grid: Grid
-    speed: float
-    steps: int
-    dt: float
-    num_frames: int
-
-    @property
-    def speed_limit(self) -> float:
-        """Speed beyond which a run has failed [m/s]."""
-        return MAX_SPEED_RATIO * self.speed + 1e-6
-
-    def place(self, position: NDArray[Any]) -> NDArray[np.float64]:
-        """Positions in metres [N, D] of positions in cells [N, 3]."""
-        axes = list(self.grid.axes)
-        return np.asarray(np.array(self.grid.lower)[axes] + position[:, axes] * np.array(self.grid.cell)[axes])
-
-    def provenance(self, seed: int) -> dict[str, object]:
-        """What a trajectory says about its making."""
-        return {
-            "solver": "gns_pl.mpm",
-            "version": gns_pl.__version__,
-            "config": asdict(self.config),
-            "seed": seed,
-            "time_step": self.dt,
-            "num_steps": self.steps * (self.num_frames - 1),
-            "cell": [self.grid.cell[axis] for axis in self.grid.axes],
-        }
-
-
-def make_plan(scene: Scene, particles: Particles, config: MPMConfig, frame_interval: float) -> Plan:
-    """Choose grid and time step of a run.
-
-    Raises:
-        InputError: cells that do not fit the box.
-    """
-    grid = make_grid(scene, config.cell_size)
-    speed = largest_speed(scene, particles)
-    steps = num_steps_per_frame(scene, config, grid, speed, frame_interval)
-    num_frames = round(scene.duration / frame_interval) + 1
-    return Plan(scene, config, grid, speed, steps, frame_interval / steps, num_frames)
-
-
-def make_state(scene: Scene, particles: Particles, grid: Grid, config: MPMConfig) -> tuple[NDArray[Any], ...]:
-    """Return what changes from step to step, and the points' constants: the first arguments of `grid.advance_steps`."""
-    from gns_pl.mpm.constitutive import material_row
-    from gns_pl.mpm.grid import BLOCK
-
-    number, axes, num_nodes = len(particles.position), list(grid.axes), math.prod(grid.nodes)
-    cell = min(grid.cell[axis] for axis in axes)
-    position, velocity = np.zeros((number, 3)), np.zeros((number, 3))
-    position[:, axes] = (particles.position - np.array(grid.lower)[axes]) / np.array(grid.cell)[axes]
-    velocity[:, axes] = particles.velocity
-    materials = [material_row(material, config.bulk_viscosity, cell) for material in scene.materials.values()]
-    floating = (
-        position,
-        velocity,
-        np.zeros((number, 9)),  # affine
-        np.zeros((number, 7)),  # stress
-        particles.mass,
-        particles.volume,
-    )
-    num_blocks = (grid.cells[0] // BLOCK + 1) * (grid.cells[1] // BLOCK + 1)
-    real = np.dtype(config.precision)
-    return (
-        *(array.astype(real) for array in floating),
-        particles.material_name,
-        np.stack(materials).astype(real),
-        np.zeros((num_nodes, 8), dtype=real),  # grid
-        np.full((num_nodes, 3 + len(scene.obstacles)), math.inf, dtype=real),  # gap
-        np.arange(number, dtype=np.int32),  # order
-        np.zeros(number, dtype=np.int32),  # block
-        np.zeros(num_blocks + 1, dtype=np.int32),  # start
-    )
-
-
-def make_setting(scene: Scene, grid: Grid, config: MPMConfig, dt: float) -> tuple[Any, ...]:
-    """Return what stays the same over all steps: the other arguments of `grid.advance_steps` up to `dt`."""
-    from gns_pl.mpm.obstacles import obstacle_table
-    from gns_pl.mpm.walls import STICK
-
-    gravity, friction = [0.0, 0.0, 0.0], np.zeros((3, 2))
-    faces = FACES[scene.dim]
-    for number, axis in enumerate(grid.axes):
-        gravity[axis] = scene.gravity[number]
-        for side in (0, 1):
-            wall = scene.walls[faces[2 * number + side]]
-            friction[axis, side] = STICK if wall.condition == "stick" else wall.friction
-    affine_fraction, own = TRANSFERS[config.transfer]
-    real = np.dtype(config.precision).type
-    return (
-        grid.cells,
-        grid.nodes,
-        tuple(real(1.0 / edge) for edge in grid.cell),
-        tuple(real(part) for part in gravity),
-        friction.astype(real),
-        tuple(real(0.5 * config.spacing / edge) for edge in grid.cell),
-        obstacle_table(scene, grid.lower, grid.axes).astype(real),
-        (0,) if scene.dim == 2 else (0, 1, 2),
-        real(affine_fraction),
-        real(own * config.flip_fraction * math.exp(-config.damping_rate * dt)),
-        real(config.local_damping),
-        real(dt),
-    )
+DEVICES = ("cpu", "cuda")
 
 
 def simulate(
@@ -226,10 +29,12 @@ def simulate(
     seed: int = 0,
     on_frame: Callable[[int, int], None] | None = None,
     num_threads: int = 1,
+    device: str = "cpu",
 ) -> Trajectory:
     """Run `scene` from its start over its duration.
 
-    The kernels release the GIL. The same arguments give the same bits on the same machine, whatever `num_threads`.
+    The kernels release the GIL. On a CPU the same arguments give the same bits on the same machine, whatever
+    `num_threads`; on a GPU the same numbers within rounding.
 
     Args:
         scene: what to simulate, in two or three dimensions.
@@ -237,20 +42,23 @@ def simulate(
         frame_interval: time between the frames kept [s].
         seed: of the generator that draws the jitter of the points.
         on_frame: called after every frame with its index (from 0) and the number of frames.
-        num_threads: threads that share a step; worth it from some 10,000 points on.
+        num_threads: threads that share a step; worth it from some 10,000 points on. For the CPU.
+        device: "cpu", or "cuda" for the GPU, where `simulate_batch` makes more of small scenes.
 
     Returns:
         round(duration / frame_interval) + 1 frames.
 
     Raises:
-        InputError: a frame interval that is not positive, cells that do not fit the box, or too many threads.
+        InputError: a frame interval that is not positive, cells that do not fit the box, too many threads, an unknown
+            device, or "cuda" where numba finds none.
         SimulationError: velocities that are not finite or far above what the scene's energy allows, or a point that
             left the box; the message says when and where.
     """
-    if not (math.isfinite(frame_interval) and frame_interval > 0):
-        raise InputError(f"mpm: frame_interval must be a positive number, not {frame_interval}.")
-    particles = fill_scene(scene, config.spacing, jitter=config.jitter, generator=np.random.default_rng(seed))
-    plan = make_plan(scene, particles, config, frame_interval)
+    if device not in DEVICES:
+        raise InputError(f"mpm: device must be one of {', '.join(DEVICES)}, not {device!r}.")
+    if device == "cuda":
+        return simulate_batch([scene], config, frame_interval=frame_interval, seeds=[seed], on_frame=on_frame)[0]
+    particles, plan = _start(scene, config, frame_interval, seed)
     state = make_state(scene, particles, plan.grid, config)
     setting = make_setting(scene, plan.grid, config, plan.dt)
     frames = np.empty((plan.num_frames, len(particles.position), scene.dim), dtype=np.float32)
@@ -267,6 +75,90 @@ def simulate(
                 on_frame(frame, plan.num_frames)
     provenance = plan.provenance(seed) | {"device": "cpu", "num_threads": num_threads}
     return replace(start_trajectory(scene, particles, frame_interval, provenance), position=frames)
+
+
+def simulate_batch(
+    scenes: Sequence[Scene],
+    config: MPMConfig,
+    *,
+    frame_interval: float,
+    seeds: Sequence[int],
+    on_frame: Callable[[int, int], None] | None = None,
+) -> list[Trajectory]:
+    """Run many scenes at once on the GPU, which a single small one leaves mostly idle.
+
+    Each has its own time step and duration; what comes out does not depend on what else is in the batch, within
+    rounding.
+
+    Args:
+        scenes: what to simulate, all in two or all in three dimensions.
+        config: how.
+        frame_interval: time between the frames kept [s].
+        seeds: one for each scene, of the generator that draws the jitter of its points.
+        on_frame: called after every frame with its index (from 0) and the number of frames of the longest scene.
+
+    Returns:
+        A trajectory for each scene, with the frames that `simulate` gives.
+
+    Raises:
+        InputError: as `simulate`; other numbers of seeds than of scenes, or scenes of different dimensions.
+        SimulationError: as `simulate`, for the first scene that failed in the earliest frame in which one did.
+    """
+    if len(seeds) != len(scenes):
+        raise InputError(f"mpm: {len(scenes)} scenes need as many seeds, not {len(seeds)}.")
+    if len({scene.dim for scene in scenes}) > 1:
+        raise InputError("mpm: the scenes of a batch must all be of one dimension; make a batch for each.")
+    if not scenes:
+        return []
+    starts = [_start(scene, config, frame_interval, seed) for scene, seed in zip(scenes, seeds, strict=True)]
+    if not has_cuda():
+        raise InputError(
+            "mpm: numba finds no CUDA device; choose device=cpu, or, where there is an NVIDIA GPU, install the solver "
+            "for it: pip install 'gns_pl[cuda]'."
+        )
+    from gns_pl.mpm.batch import Batch, gpu_name
+
+    plans = [plan for _, plan in starts]
+    states = [make_state(plan.scene, particles, plan.grid, config)[:8] for particles, plan in starts]
+    batch = Batch(plans, states)
+    frames = [np.empty((plan.num_frames, len(start.mass), plan.scene.dim), np.float32) for start, plan in starts]
+    num_frames = max(plan.num_frames for plan in plans)
+    for frame in range(num_frames):
+        if frame > 0:
+            flags = batch.advance([plan.steps if frame < plan.num_frames else 0 for plan in plans])
+            if flags.any():
+                failed = int(flags.any(axis=1).argmax())
+                replayed = batch.replay(failed, states[failed])
+                raise _failure(plans[failed], (frame - 1) * plans[failed].steps, *replayed)
+        places = batch.places()
+        for index, plan in enumerate(plans):
+            if frame < plan.num_frames:
+                own = places[batch.first[index] : batch.first[index + 1]]
+                frames[index][frame] = own[:, list(plan.grid.axes)]
+        if on_frame is not None:
+            on_frame(frame, num_frames)
+    where = {"device": "cuda", "gpu": gpu_name()}
+    return [
+        replace(start_trajectory(plan.scene, start, frame_interval, plan.provenance(seed) | where), position=kept)
+        for (start, plan), seed, kept in zip(starts, seeds, frames, strict=True)
+    ]
+
+
+def _start(scene: Scene, config: MPMConfig, frame_interval: float, seed: int) -> tuple[Particles, Plan]:
+    """Fill a scene and plan its run."""
+    if not (math.isfinite(frame_interval) and frame_interval > 0):
+        raise InputError(f"mpm: frame_interval must be a positive number, not {frame_interval}.")
+    particles = fill_scene(scene, config.spacing, jitter=config.jitter, generator=np.random.default_rng(seed))
+    return particles, make_plan(scene, particles, config, frame_interval)
+
+
+def has_cuda() -> bool:
+    """Tell whether numba finds a CUDA device."""
+    try:
+        from numba import cuda
+    except ImportError:  # numba may leave the target to numba-cuda one day
+        return False
+    return bool(cuda.is_available())
 
 
 @contextmanager

@@ -74,17 +74,17 @@ def note_gaps(px, py, pz, bx, by, bz, gap, cells, nodes, inverse_cell, obstacles
             for j in range(len(layers)):
                 for k in range(3):
                     node = ((cells[0] if side else 0) * ny + by + j) * nz + bz + k
-                    lower(gap, node, 0, cells[0] - px if side else px)
+                    lower(gap, node, 0, real(cells[0]) - px if side else px)
         if len(layers) == 3 and by == (cells[1] - 2 if side else 0):
             for i in range(3):
                 for k in range(3):
                     node = ((bx + i) * ny + (cells[1] if side else 0)) * nz + bz + k
-                    lower(gap, node, 1, cells[1] - py if side else py)
+                    lower(gap, node, 1, real(cells[1]) - py if side else py)
         if bz == (cells[2] - 2 if side else 0):
             for i in range(3):
                 for j in range(len(layers)):
                     node = ((bx + i) * ny + by + j) * nz + (cells[2] if side else 0)
-                    lower(gap, node, 2, cells[2] - pz if side else pz)
+                    lower(gap, node, 2, real(cells[2]) - pz if side else pz)
     if obstacles.shape[0] == 0:
         return
     ihx, ihy, ihz = inverse_cell
@@ -97,6 +97,41 @@ def note_gaps(px, py, pz, bx, by, bz, gap, cells, nodes, inverse_cell, obstacles
                     node = ((bx + i) * ny + by + j) * nz + bz
                     for k in range(3):
                         lower(gap, node + k, 3 + o, distance)
+
+
+@compiled
+def point_terms(
+    p, velocity, affine, stress, mass, volume, material_index, materials, inverse_cell, dx, dy, dz, affine_fraction, dt
+):
+    """Return what a point gives to a node: factors of its weight and of its gradient along each axis.
+
+    Args:
+        p: the point.
+        dx, dy, dz: second moments of the shape functions [cell²].
+        velocity, …, dt: as in `points_to_grid`.
+
+    Returns:
+        momentum (x, y, z) and mass for the weight; for each of the three gradients, momentum (x, y, z) and impulse of
+        the stresses (x, y, z).
+    """
+    ihx, ihy, ihz = inverse_cell
+    m = mass[p]
+    row = materials[material_index[p]]
+    force = -dt * volume[p]
+    mean = total_pressure(stress[p, 6], affine[p, 0] + affine[p, 4] + affine[p, 8], row[5], row[6])
+    fx, fy, fz = force * ihx, force * ihy, force * ihz
+    fxx, fyy, fzz = fx * (stress[p, 0] - mean), fy * (stress[p, 1] - mean), fz * (stress[p, 2] - mean)
+    fxy, fyx = fy * stress[p, 3], fx * stress[p, 3]  # f_ab: component a, gradient along b
+    fyz, fzy = fz * stress[p, 4], fy * stress[p, 4]
+    fzx, fxz = fx * stress[p, 5], fz * stress[p, 5]
+    # w (x_i − x_p) = D g along each axis, so the affine part is a matrix times g as well.
+    ax, ay, az = affine_fraction * m * dx / ihx, affine_fraction * m * dy / ihy, affine_fraction * m * dz / ihz
+    return (
+        (m * velocity[p, 0], m * velocity[p, 1], m * velocity[p, 2], m),
+        (ax * affine[p, 0], ax * affine[p, 3], ax * affine[p, 6], fxx, fyx, fzx),
+        (ay * affine[p, 1], ay * affine[p, 4], ay * affine[p, 7], fxy, fyy, fzy),
+        (az * affine[p, 2], az * affine[p, 5], az * affine[p, 8], fxz, fyz, fzz),
+    )
 
 
 @compiled
@@ -121,7 +156,6 @@ def points_to_grid(
         affine_fraction: 1, or 0 for PIC, whose momentum has no affine part.
         dt: time step [s].
     """
-    ihx, ihy, ihz = inverse_cell
     ny, nz = nodes[1], nodes[2]
     for place in range(first, last):
         p = order[place]
@@ -132,22 +166,15 @@ def points_to_grid(
             by, wy0, wy1, wy2, gy0, gy1, gy2, dy = axis_shape(py, cells[1])
         else:
             by, wy0, wy1, wy2, gy0, gy1, gy2, dy = 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        m = mass[p]
-        row = materials[material_index[p]]
-        force = -dt * volume[p]
-        mean = total_pressure(stress[p, 6], affine[p, 0] + affine[p, 4] + affine[p, 8], row[5], row[6])
-        fx, fy, fz = force * ihx, force * ihy, force * ihz
-        fxx, fyy, fzz = fx * (stress[p, 0] - mean), fy * (stress[p, 1] - mean), fz * (stress[p, 2] - mean)
-        fxy, fyx = fy * stress[p, 3], fx * stress[p, 3]  # f_ab: component a, gradient along b
-        fyz, fzy = fz * stress[p, 4], fy * stress[p, 4]
-        fzx, fxz = fx * stress[p, 5], fz * stress[p, 5]
-        # w (x_i − x_p) = D g along each axis, so the affine part is a matrix times g as well.
-        ax, ay, az = affine_fraction * m * dx / ihx, affine_fraction * m * dy / ihy, affine_fraction * m * dz / ihz
+        c, x, y, z = point_terms(
+            p, velocity, affine, stress, mass, volume, material_index, materials, inverse_cell, dx, dy, dz,
+            affine_fraction, dt,
+        )  # fmt: skip
         none = real(0.0)
-        constant = make_row(m * velocity[p, 0], m * velocity[p, 1], m * velocity[p, 2], m, none, none, none, none)
-        along_x = make_row(ax * affine[p, 0], ax * affine[p, 3], ax * affine[p, 6], none, fxx, fyx, fzx, none)
-        along_y = make_row(ay * affine[p, 1], ay * affine[p, 4], ay * affine[p, 7], none, fxy, fyy, fzy, none)
-        along_z = make_row(az * affine[p, 2], az * affine[p, 5], az * affine[p, 8], none, fxz, fyz, fzz, none)
+        constant = make_row(c[0], c[1], c[2], c[3], none, none, none, none)
+        along_x = make_row(x[0], x[1], x[2], none, x[3], x[4], x[5], none)
+        along_y = make_row(y[0], y[1], y[2], none, y[3], y[4], y[5], none)
+        along_z = make_row(z[0], z[1], z[2], none, z[3], z[4], z[5], none)
         for i in range(3):
             wx, gx = pick(i, wx0, wx1, wx2), pick(i, gx0, gx1, gx2)
             for j in range(len(layers)):
