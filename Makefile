@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: install quickstart test test-slow test-validation test-gpu lint clean
+.PHONY: install quickstart test test-slow validation test-gpu lint clean
 
 install: $(STAMP)
 
@@ -24,7 +24,8 @@ test: $(STAMP)
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
-test-validation: $(STAMP)
+validation: $(STAMP)
+	$(BIN)/python benchmarks/mpm_validation.py
 	$(BIN)/python -m pytest -m validation
 
 test-gpu: $(STAMP)

@@ -43,7 +43,7 @@ REFERENCE_CURVES = (
     "kinetic_energy",
     "potential_energy",
 )
-REFERENCE_RUNS = (("plane", 144, (0, 1, 2)), ("friction", 48, (0,)))
+REFERENCE_RUNS = (("plane", 144, (0, 1)), ("friction", 48, (0,)))
 """Side walls, cells per metre and placements of the references that are kept."""
 SAND = Material(
     density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30, cohesion=100, tension_cutoff=50
@@ -125,7 +125,7 @@ def studies() -> Iterator[tuple[str, dict[str, Any]]]:
     for courant, cells in itertools.product((0.1, 0.5), (48,)):
         yield "courant", {"cells_per_metre": cells, "courant": courant}
     yield "walls", {"cells_per_metre": 36, "walls": "friction"}
-    for seed in (0, 1, 2):
+    for seed in (0, 1):
         yield "resolution", {"cells_per_metre": 144, "seed": seed}
     yield "walls", {"cells_per_metre": 48, "walls": "friction"}
 
@@ -187,13 +187,12 @@ def run(aspect_ratio: float, settings: Mapping[str, Any]) -> dict[str, Any]:
 def reference_curves(aspect_ratio: float, walls: str, cells: int, seeds: tuple[int, ...]) -> dict[str, Any]:
     """Return the columns of a reference, means over seeds every 0.1 √(H0/g), and their standard deviation of runout."""
     scene = make_scene(aspect_ratio, walls)
-    tau = math.sqrt(aspect_ratio * LENGTH[aspect_ratio] / 9.81)
     choice = {name: SETTINGS[name] for name in SETTINGS if name not in ("walls", "cells_per_metre", "seed")}
     config = MPMConfig(cell_size=1 / cells, jitter=0.5, **choice)
     times = np.round(np.arange(0, DURATION + 1e-9, 0.1), 1)
     found: dict[str, list[Any]] = {name: [] for name in REFERENCE_CURVES}
     for seed in seeds:
-        curves = compute_curves(simulate(scene, config, frame_interval=0.05 * tau, seed=seed))
+        curves = compute_curves(simulate(scene, config, frame_interval=FRAME_INTERVAL, seed=seed))
         unit = curves["potential_energy"][0]
         for name, values in found.items():
             scale = unit if "energy" in name else (LENGTH[aspect_ratio] if name == "mean_height" else 1.0)
@@ -213,9 +212,10 @@ def write_reference(aspect_ratio: float, walls: str, cells: int, seeds: tuple[in
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(
             f"# Column a = {aspect_ratio:g}, L0 = {LENGTH[aspect_ratio]:g} m, the paper's sand, friction 0.385 on "
-            f"floor and ends, {about[walls]}.\n# gns_pl.mpm at 1/{cells} m, 2 points per direction, mean over "
-            f"{len(seeds)} placements; error estimate: docs/reference.md.\n# Lengths in L0, energies over the potential energy at "
-            "the start, time in sqrt(H0/g).\n"
+            f"floor and ends, {about[walls]}.\n"
+            f"# gns_pl.mpm at 1/{cells} m, 2 points per direction, mean over {len(seeds)} placements; error estimate: "
+            "docs/reference.md.\n"
+            "# Lengths in L0, energies over the potential energy at the start, time in sqrt(H0/g).\n"
         )
         writer = csv.writer(file)
         writer.writerow(columns)

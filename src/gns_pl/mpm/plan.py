@@ -22,6 +22,10 @@ MAX_SPEED_RATIO = 3.0
 (collisions pass speed on), unstable ones go beyond 9, mostly without ever becoming infinite."""
 
 
+NUM_POINT_ARRAYS, ORDER = 7, 10
+"""Of a state (`make_state`): how many of its first arrays say something of every point, and where their order stands."""
+
+
 @dataclass(frozen=True)
 class Grid:
     """The grid of a scene; in the plane its y axis has no cells and one layer of nodes.
