@@ -36,9 +36,9 @@ def choose_device(device: str) -> str:
         raise InputError(f"device must be one of {', '.join(DEVICES)}, not {device!r}.")
     if device == "cpu":
         return device
-    from numba import cuda
+    from gns_pl.mpm import has_cuda
 
-    found = bool(cuda.is_available())
+    found = has_cuda()
     if device == "cuda" and not found:
         raise InputError("device=cuda: numba finds no CUDA device here; choose device=cpu, or auto.")
     return "cuda" if found else "cpu"

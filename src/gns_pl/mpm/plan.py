@@ -23,7 +23,7 @@ MAX_SPEED_RATIO = 3.0
 
 
 NUM_POINT_ARRAYS, ORDER = 7, 10
-"""Of a state (`make_state`): how many of its first arrays say something of every point, and where their order stands."""
+"""Of a state (`make_state`): how many of its first arrays are about points, and where the order of these stands."""
 
 
 @dataclass(frozen=True)
