@@ -373,8 +373,10 @@ def draw(rows: list[dict[str, str]], path: Path) -> None:
         for axis, ticks in ((axes[0, 2], [0.03, 0.1, 0.3, 0.6]), (axes[1, 2], [0.003, 0.01, 0.03, 0.1])):
             axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
             axis.set_xticks([], minor=True)
+        axes[0, 2].set_ylim(-0.1, 4.4)
+        axes[1, 2].set_xlim(1e-3, 0.1)
         for axis in axes.flat:
-            axis.legend(fontsize=5.5)
+            axis.legend(fontsize=5.5, ncols=2 if axis is axes[0, 2] else 1)
         figure.savefig(path)
         plt.close(figure)
 
