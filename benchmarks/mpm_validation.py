@@ -96,6 +96,22 @@ def cells_across(aspect_ratio: float) -> int:
     return 32 if aspect_ratio <= 1.5 else 16
 
 
+def plane_scene(aspect_ratio: float, friction_angle_deg: float, duration: float) -> tuple[Scene, float]:
+    """Return a column in plane strain that is watched for `duration` · τ, and τ = √(H0/g) [s]."""
+    height = aspect_ratio * RADIUS
+    tau = math.sqrt(height / GRAVITY)
+    scene = column_collapse(
+        domain=(RADIUS * (1.5 + 4 * max(aspect_ratio, aspect_ratio**0.7)), 1.1 * height),
+        length=RADIUS,
+        height=height,
+        gravity=GRAVITY,
+        duration=duration * tau,
+        material=sand(friction_angle_deg),
+        walls=rough_floor(2, friction_angle_deg),
+    )
+    return scene, tau
+
+
 def plane_column(aspect_ratio: float, friction_angle_deg: float = 30.0) -> dict[str, float]:
     """Run a column in plane strain and return runout, height, arrest and energies.
 
@@ -107,17 +123,8 @@ def plane_column(aspect_ratio: float, friction_angle_deg: float = 30.0) -> dict[
         Final `runout_99`, `runout_max`, `height_99` [L0], `arrest_time` [√(H0/g)], final `kinetic` [m g H0 / 2],
         largest `rise` of kinetic plus potential energy between frames [m g H0 / 2].
     """
+    scene, tau = plane_scene(aspect_ratio, friction_angle_deg, 8.0)
     height = aspect_ratio * RADIUS
-    tau = math.sqrt(height / GRAVITY)
-    scene = column_collapse(
-        domain=(RADIUS * (1.5 + 4 * max(aspect_ratio, aspect_ratio**0.7)), 1.1 * height),
-        length=RADIUS,
-        height=height,
-        gravity=GRAVITY,
-        duration=8 * tau,
-        material=sand(friction_angle_deg),
-        walls=rough_floor(2, friction_angle_deg),
-    )
     flow = simulate(scene, settings(min(RADIUS, height) / cells_across(aspect_ratio)), frame_interval=tau / 50)
     curves = compute_curves(flow)
     unit = float(flow.mass.sum()) * GRAVITY * height / 2
@@ -299,18 +306,8 @@ def energy_balance(scene: Scene, config: MPMConfig, tau: float, num_rows: int = 
 
 def column_energy(aspect_ratio: float, cells: int = 16) -> list[dict[str, float]]:
     """Return the energy balance of a column of the laws over 6 √(H0/g)."""
-    height = aspect_ratio * RADIUS
-    tau = math.sqrt(height / GRAVITY)
-    scene = column_collapse(
-        domain=(RADIUS * (1.5 + 4 * max(aspect_ratio, aspect_ratio**0.7)), 1.1 * height),
-        length=RADIUS,
-        height=height,
-        gravity=GRAVITY,
-        duration=6 * tau,
-        material=sand(),
-        walls=rough_floor(2, 30.0),
-    )
-    return energy_balance(scene, settings(min(RADIUS, height) / cells), tau)
+    scene, tau = plane_scene(aspect_ratio, 30.0, 6.0)
+    return energy_balance(scene, settings(min(1.0, aspect_ratio) * RADIUS / cells), tau)
 
 
 def write_rows(path: Path, rows: list[dict[str, Any]]) -> None:
