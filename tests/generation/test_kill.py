@@ -111,7 +111,7 @@ def test_a_file_that_cannot_grow_is_one_sentence_and_leaves_nothing_half(tmp_pat
 
 
 def test_an_interrupted_generation_ends_its_processes(tmp_path: Path) -> None:
-    process = start(tmp_path / "set", "2", "0.2")
+    process = start(tmp_path / "set", "2", "1")
     wait_for(partial(_has_more, tmp_path / "set", 0))
     family = children(process.pid)
     os.kill(process.pid, signal.SIGINT)
