@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import BACKENDS, radius_graph
+from gns_pl.graph import BACKENDS, NUMBA, radius_graph
 
 HAS_CLUSTER = importlib.util.find_spec("torch_cluster") is not None
-FAST = [name for name in BACKENDS if name != "brute_force" and (name != "torch_cluster" or HAS_CLUSTER)]
+FAST = [name for name in (NUMBA, *BACKENDS) if name != "brute_force" and (name != "torch_cluster" or HAS_CLUSTER)]
 
 
 def oracle(position: Tensor, radius: float) -> set[tuple[int, int]]:

@@ -43,6 +43,7 @@ class TrajectoryDataModule(LightningDataModule):
         batch_size: windows per step.
         num_steps: training steps in all.
         input_sequence_length: H.
+        num_targets: frames behind the history in every window.
         start_repeats: how often windows at the start of a trajectory are listed.
         num_workers: loader processes.
         memory_limit: the training set is kept in memory if its positions take no more than this [bytes].
@@ -60,6 +61,7 @@ class TrajectoryDataModule(LightningDataModule):
         batch_size: int,
         num_steps: int,
         input_sequence_length: int,
+        num_targets: int,
         start_repeats: int,
         num_workers: int,
         memory_limit: float,
@@ -72,6 +74,7 @@ class TrajectoryDataModule(LightningDataModule):
         self.batch_size = batch_size
         self.num_steps = num_steps
         self.input_sequence_length = input_sequence_length
+        self.num_targets = num_targets
         self.start_repeats = start_repeats
         self.num_workers = num_workers
         self.seed = seed
@@ -89,6 +92,7 @@ class TrajectoryDataModule(LightningDataModule):
             self.train_set = WindowDataset(
                 [self.directory / name for name in self.train_names],
                 input_sequence_length=self.input_sequence_length,
+                num_targets=self.num_targets,
                 start_repeats=self.start_repeats,
                 in_memory=self.in_memory,
             )

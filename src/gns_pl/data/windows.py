@@ -1,4 +1,4 @@
-"""Windows of trajectories: H positions and the one that follows, with what stays constant.
+"""Windows of trajectories: H positions and those that follow, with what stays constant.
 
 A window may begin before the first frame; the missing positions are ballistic (x0 − k v0 Δt), just as they are when a
 rollout starts from a scene alone. Noise is added later, on the device, never to what is stored.
@@ -23,26 +23,34 @@ from gns_pl.trajectory import Trajectory, ballistic_history
 class WindowDataset(Dataset[Data]):
     """Every window of a list of trajectory files.
 
-    A trajectory has a window for every frame k = 0 … T − 2, which holds the latest history position; the target is in
-    frame k + 1. Windows whose history begins before the first frame are rare but decide how a scene sets out, so they
-    can be listed several times.
+    A trajectory has a window for every frame k = 0 … T − 1 − U, which holds the latest history position; the U targets
+    are in the frames behind it. Windows whose history begins before the first frame are rare but decide how a scene
+    sets out, so they can be listed several times.
 
     Args:
         paths: trajectory files.
         input_sequence_length: H.
+        num_targets: U, frames behind the history.
         start_repeats: how often windows are listed whose history begins before the first frame.
         in_memory: keep all positions in memory; otherwise each window is read from its file.
 
     Raises:
-        InputError: no file, one with fewer than two frames, or one whose scene has obstacles.
+        InputError: no file, one with fewer than U + 1 frames, or one whose scene has obstacles.
     """
 
     def __init__(
-        self, paths: Sequence[Path], *, input_sequence_length: int, start_repeats: int, in_memory: bool
+        self,
+        paths: Sequence[Path],
+        *,
+        input_sequence_length: int,
+        num_targets: int,
+        start_repeats: int,
+        in_memory: bool,
     ) -> None:
         if not paths:
             raise InputError("there is no trajectory to train on; give the split at least one.")
         self.length = input_sequence_length
+        self.num_targets = num_targets
         self.paths = list(paths)
         self.constant: list[dict[str, torch.Tensor]] = []
         self._position: list[NDArray[np.float32] | None] = []
@@ -52,11 +60,11 @@ class WindowDataset(Dataset[Data]):
             # Without memory for all frames only the first one is read here, which the pre-history needs.
             num_frames = read_header(path).num_frames
             trajectory = read_trajectory(path, num_frames=None if in_memory else 1)
-            if num_frames < 2:
-                raise InputError(f"{path}: has {num_frames} frame; a window needs at least two.")
+            if num_frames <= num_targets:
+                raise InputError(f"{path}: has {num_frames} frames; a window needs at least {num_targets + 1}.")
             if trajectory.scene.obstacles:
                 raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
-            for frame in range(num_frames - 1):
+            for frame in range(num_frames - num_targets):
                 self.index += [(which, frame)] * (start_repeats if frame < input_sequence_length - 1 else 1)
             past = ballistic_history(
                 trajectory.position[0], trajectory.initial_velocity, trajectory.dt, input_sequence_length
@@ -69,13 +77,13 @@ class WindowDataset(Dataset[Data]):
         return len(self.index)
 
     def __getitem__(self, index: int) -> Data:
-        """Return a PyG `Data`: `position` [N, H + 1, D] and the fields of `graph.Static` for one scene."""
+        """Return a PyG `Data`: `position` [N, H + U, D] and the fields of `graph.Static` for one scene."""
         which, frame = self.index[index]
         first = max(0, frame - self.length + 1)
         stored = self._position[which]
-        frames = frame + 2 - first
+        frames = frame + 1 + self.num_targets - first
         window = stored[first : first + frames] if stored is not None else read_window(self.paths[which], first, frames)
-        missing = self.length + 1 - frames
+        missing = self.length + self.num_targets - frames
         if missing:
             window = np.concatenate([self._pre_history[which][-missing:], window])
         position = torch.from_numpy(np.ascontiguousarray(window.transpose(1, 0, 2)))

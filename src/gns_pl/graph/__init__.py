@@ -4,11 +4,12 @@ Plain tensors in, plain tensors out; no learned parameter and no file lives here
 """
 
 from gns_pl.graph.features import Static, edge_features, edge_width, node_features, node_width
-from gns_pl.graph.neighbours import BACKENDS, radius_graph
+from gns_pl.graph.neighbours import BACKENDS, NUMBA, radius_graph
 from gns_pl.graph.noise import coherent_noise, random_walk_noise
 
 __all__ = [
     "BACKENDS",
+    "NUMBA",
     "Static",
     "coherent_noise",
     "edge_features",

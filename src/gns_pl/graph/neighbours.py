@@ -10,10 +10,12 @@ import importlib.util
 import itertools
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
+from gns_pl.graph.cells import neighbours
 
 _MARGIN = 1.0 + 1e-5
 """Candidates are searched a little beyond the radius, so that rounding never loses a pair to the filter."""
@@ -28,7 +30,7 @@ def radius_graph(
         position: [N, D] [m].
         radius: connectivity radius R [m].
         batch: [N] graph of every particle, ascending; all in one graph if None.
-        backend: a key of `BACKENDS`, or "auto": "cell_list" on CUDA, "kdtree" elsewhere.
+        backend: a key of `BACKENDS`, or "auto": "cell_list" on CUDA, "numba" elsewhere.
         num_graphs: B, the number of graphs in `batch`.
 
     Returns:
@@ -40,12 +42,17 @@ def radius_graph(
     if not radius > 0:
         raise InputError(f"the connectivity radius must be positive, not {radius}.")
     if backend == "auto":
-        backend = "cell_list" if position.device.type == "cuda" else "kdtree"
-    if backend not in BACKENDS:
-        raise InputError(f"unknown neighbour backend {backend!r}; known are auto, {', '.join(BACKENDS)}.")
+        backend = "cell_list" if position.device.type == "cuda" else NUMBA
+    if backend not in (NUMBA, *BACKENDS):
+        raise InputError(f"unknown neighbour backend {backend!r}; known are auto, {NUMBA}, {', '.join(BACKENDS)}.")
     if not bool(torch.isfinite(position).all()):
         raise InputError("a radius graph needs finite positions.")
     detached = position.detach()
+    if backend == NUMBA:
+        counts = torch.bincount(batch, minlength=num_graphs).cpu().numpy() if batch is not None else [len(position)]
+        first = np.concatenate([[0], np.cumsum(counts)])
+        found = neighbours(detached.cpu().contiguous().numpy(), first, radius)
+        return torch.from_numpy(np.stack(found)).to(position.device)
     if batch is None or num_graphs == 1:
         return _single(detached, radius, backend)
     counts = torch.bincount(batch, minlength=num_graphs).tolist()
@@ -132,6 +139,9 @@ def _torch_cluster(position: Tensor, radius: float) -> tuple[Tensor, Tensor]:
     once = edges[0] < edges[1]
     return edges[0][once], edges[1][once]
 
+
+NUMBA = "numba"
+"""The backend of compiled loops (`graph.cells`), which finds whole graphs, not candidates."""
 
 BACKENDS: dict[str, Callable[[Tensor, float], tuple[Tensor, Tensor]]] = {
     "brute_force": _brute_force,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
+from gns_pl.nn.edges import SortedEdges
 from gns_pl.nn.interaction_network import InteractionNetwork
 from gns_pl.nn.mlp import mlp
 
@@ -18,6 +20,10 @@ class EncodeProcessDecode(nn.Module):
         latent_size: width of the states.
         num_mlp_layers: hidden layers of each MLP.
         num_message_passing_steps: number of interaction networks.
+
+    Attributes:
+        compiled_edges: use the compiled loops of `nn.edges` where they can be used: float32 on the CPU, edges sorted
+            by receiver.
     """
 
     def __init__(
@@ -37,6 +43,7 @@ class EncodeProcessDecode(nn.Module):
             InteractionNetwork(latent_size, num_mlp_layers) for _ in range(num_message_passing_steps)
         )
         self.decoder = mlp(latent_size, latent_size, num_mlp_layers, output_width, norm=False)
+        self.compiled_edges = True
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
         """Return the decoded nodes [N, output_width].
@@ -46,8 +53,11 @@ class EncodeProcessDecode(nn.Module):
             edge: edge features [E, F'].
             edge_index: [2, E], sender and receiver.
         """
+        able = self.compiled_edges and node.device.type == "cpu" and node.dtype == torch.float32
+        able = able and not torch.is_autocast_enabled("cpu")
+        sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
         node, edge = self.node_encoder(node), self.edge_encoder(edge)
         for layer in self.processor:
-            node, edge = layer(node, edge, edge_index)
+            node, edge = layer(node, edge, edge_index, sorted_edges, last=layer is self.processor[-1])
         decoded: Tensor = self.decoder(node)
         return decoded

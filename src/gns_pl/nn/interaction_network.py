@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from torch import Tensor, nn
 from torch_geometric.nn import MessagePassing
 
+from gns_pl.nn.edges import SortedEdges, gather_and_rectify, norm_and_sum
 from gns_pl.nn.mlp import mlp
 
 
@@ -22,7 +25,7 @@ class InteractionNetwork(MessagePassing):  # type: ignore[misc]
 
     Args:
         latent_size: width of node and edge states.
-        num_mlp_layers: hidden layers of each MLP.
+        num_mlp_layers: hidden layers of each MLP, at least one.
     """
 
     def __init__(self, latent_size: int, num_mlp_layers: int) -> None:
@@ -36,17 +39,33 @@ class InteractionNetwork(MessagePassing):  # type: ignore[misc]
             for weight in (self.sender.weight, self.receiver.weight, self.edge_mlp.get_parameter("0.weight")):
                 weight.mul_(3**-0.5)
 
-    def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self,
+        node: Tensor,
+        edge: Tensor,
+        edge_index: Tensor,
+        sorted_edges: SortedEdges | None = None,
+        last: bool = False,
+    ) -> tuple[Tensor, Tensor]:
         """Return the new node [N, L] and edge states [E, L].
 
         Args:
             node: [N, L].
             edge: [E, L].
             edge_index: [2, E], sender and receiver.
+            sorted_edges: the same edges for the compiled loops (`nn.edges`); None for PyG's way.
+            last: the new edge states are not needed; they may come back empty.
         """
-        message = self.edge_updater(edge_index, sender=self.sender(node), receiver=self.receiver(node), edge=edge)
-        received = self.propagate(edge_index, message=message, size=(len(node), len(node)))
-        return node + self.node_mlp(torch.cat([received, node], dim=1)), edge + message
+        sending, receiving = self.sender(node), self.receiver(node)
+        if sorted_edges is None:
+            message = self.edge_updater(edge_index, sender=sending, receiver=receiving, edge=edge)
+            received = self.propagate(edge_index, message=message, size=(len(node), len(node)))
+            updated = edge + message
+        else:
+            first, rest, norm = self.edge_mlp[0], self.edge_mlp[2:-1], cast(nn.LayerNorm, self.edge_mlp[-1])
+            value = rest(gather_and_rectify(first(edge), sending, receiving, sorted_edges))
+            updated, received = norm_and_sum(value, norm, edge, sorted_edges, keep=not last)
+        return node + self.node_mlp(torch.cat([received, node], dim=1)), updated
 
     def edge_update(self, sender_j: Tensor, receiver_i: Tensor, edge: Tensor) -> Tensor:
         """Return the messages [E, L]."""

@@ -23,6 +23,8 @@ class Optimisation:
         warmup_steps: linear rise of the learning rate.
         huber_delta: of the loss, in units of the acceleration scale; None for the mean squared error.
         symmetry: mirror and exchange the horizontal axes at random.
+        unroll_steps: steps in a row that the loss follows, late in training.
+        unroll_from: share of the training after which it does; before, it is one step.
 
     Raises:
         InputError: a value out of range.
@@ -35,9 +37,12 @@ class Optimisation:
     warmup_steps: int
     huber_delta: float | None
     symmetry: bool
+    unroll_steps: int
+    unroll_from: float
 
     def __post_init__(self) -> None:
-        _check("training.optimisation", self, num_steps=1, warmup_steps=0)
+        _check("training.optimisation", self, num_steps=1, warmup_steps=0, unroll_steps=1)
+        _check("training.optimisation", self, unroll_from=0.0)
         _check("training.optimisation", self, learning_rate=0.0, final_factor=0.0, weight_decay=0.0)
         if self.huber_delta is not None:
             _check("training.optimisation", self, huber_delta=1e-6)

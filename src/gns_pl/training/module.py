@@ -20,6 +20,7 @@ from gns_pl.rollout import rollout
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.training.perturbation import Perturbation
 from gns_pl.training.symmetry import sample_symmetry
+from gns_pl.training.unroll import unrolled_loss
 from gns_pl.trajectory import Trajectory
 
 MONITORED = "position_error"
@@ -53,8 +54,7 @@ class SimulatorModule(LightningModule):
     Args:
         model: `SimulatorConfig` as a dict.
         data: specification of the data, stored in the checkpoint.
-        optimisation: learning_rate, final_factor, weight_decay, warmup_steps, num_steps, huber_delta,
-            symmetry.
+        optimisation: `Optimisation` as a dict.
         perturbation: `Perturbation` as a dict.
         seed: of the noise.
         provenance: stored in the checkpoint.
@@ -90,18 +90,30 @@ class SimulatorModule(LightningModule):
         static = static_of_batch(batch)
         # The noise depends on the seed and the step alone: a resumed run draws what an uninterrupted one would.
         generator = torch.Generator(device=self.device).manual_seed(self.seed * 1_000_003 + self.global_step)
-        history, goal = batch.position[:, :-1], batch.position[:, -1]
+        length = self.simulator.config.input_sequence_length
+        steps = self._unrolled(self.global_step)
+        history, future = batch.position[:, :length], batch.position[:, length : length + steps]
         if self.optimisation["symmetry"]:
-            history, goal, static = sample_symmetry(history, goal, static, generator)
-        history, goal = self.perturb(history, goal, static, generator)
-        predicted = self.simulator.normalised_acceleration(history, static)
-        target = self.simulator.target(history, goal, static)
-        predicted, target = predicted[static.moved], target[static.moved]
-        delta = self.optimisation["huber_delta"]
-        loss = mse_loss(predicted, target) if delta is None else smooth_l1_loss(predicted, target, beta=delta)
+            history, future, static = sample_symmetry(history, future, static, generator)
+        history, goal = self.perturb(history, future[:, 0], static, generator)
+        moved, delta = static.moved, self.optimisation["huber_delta"]
+
+        def difference(predicted: Tensor, target: Tensor) -> Tensor:
+            predicted, target = predicted[moved], target[moved]
+            return mse_loss(predicted, target) if delta is None else smooth_l1_loss(predicted, target, beta=delta)
+
+        loss = unrolled_loss(
+            self.simulator, history, goal, future, static, restore=self.perturb.restore, loss=difference
+        )
         self.log("loss", loss, prog_bar=True, batch_size=batch.num_graphs)
         self._windows += batch.num_graphs
         return loss
+
+    def _unrolled(self, step: int) -> int:
+        """Return how many steps in a row training step `step` makes."""
+        settings = self.optimisation
+        late = step >= settings["unroll_from"] * settings["num_steps"]
+        return int(settings["unroll_steps"]) if late else 1
 
     def on_train_batch_end(self, outputs: Any, batch: Data, batch_index: int) -> None:
         """Log the pace now and then, and stop at a loss that is not finite."""
@@ -132,7 +144,7 @@ class SimulatorModule(LightningModule):
         """Return AdamW with warm-up and cosine, stepped every step."""
         settings = self.optimisation
         optimizer = torch.optim.AdamW(
-            self.parameters(), lr=settings["learning_rate"], weight_decay=settings["weight_decay"]
+            self.parameters(), lr=settings["learning_rate"], weight_decay=settings["weight_decay"], fused=True
         )
         scheduler = torch.optim.lr_scheduler.LambdaLR(
             optimizer,

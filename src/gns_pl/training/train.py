@@ -22,6 +22,7 @@ from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
 from gns_pl.generation import generate_dataset
 from gns_pl.io import Manifest, manifest_sha256
+from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.simulator import SimulatorConfig
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.module import SimulatorModule
@@ -45,6 +46,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         InputError: a setting that cannot be used; found before anything is generated where that is possible.
     """
     quieten()
+    keep_freed_memory()
     os.environ.setdefault("WANDB_SILENT", "true")  # it would print a page; where its run is, is told below
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     training = TrainingConfig.from_dict(settings["training"])
@@ -136,6 +138,7 @@ def build_data(directory: Path, training: TrainingConfig, length: int, seed: int
         batch_size=training.batch_size,
         num_steps=training.optimisation.num_steps,
         input_sequence_length=length,
+        num_targets=training.optimisation.unroll_steps,
         start_repeats=training.start_repeats,
         num_workers=training.num_workers,
         memory_limit=training.memory_limit,

@@ -1,0 +1,246 @@
+"""What every edge goes through, in one pass over memory each: compiled loops for the CPU, with their gradients.
+
+A layer's matrix products are torch's. What stands between them (gather both ends, add, ReLU; norm, residual, sum at the
+receiver) takes eight passes over edge-sized arrays in plain torch, and as long as the products do. Here it is one pass
+before and one after the products, forward and backward. Edges come sorted by receiver, so sums over a node's edges
+read a run of memory and need no atomics: results do not depend on anything but the input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+EPSILON = 1e-5
+"""Added to the variance, as in `torch.nn.LayerNorm`."""
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SortedEdges:
+    """Edges in the order of their receivers.
+
+    Attributes:
+        sender: [E] int64.
+        receiver: [E] int64, ascending.
+        start: first edge of every receiver, and E at the end [N + 1] int64.
+    """
+
+    sender: Tensor
+    receiver: Tensor
+    start: Tensor
+
+    @classmethod
+    def of(cls, edge_index: Tensor, num_nodes: int) -> SortedEdges | None:
+        """Return the edges, or None if they are not sorted by receiver.
+
+        Args:
+            edge_index: [2, E], sender and receiver.
+            num_nodes: N.
+        """
+        sender, receiver = edge_index
+        if bool((receiver[1:] < receiver[:-1]).any()):
+            return None
+        start = torch.searchsorted(receiver.contiguous(), torch.arange(num_nodes + 1))
+        return cls(sender.contiguous(), receiver.contiguous(), start)
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+_compiled: Callable[[F], F] = numba.njit(
+    cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy"
+)
+
+
+@_compiled
+def _gather_forward(hidden: Array, sending: Array, receiving: Array, sender: Any, start: Any) -> None:
+    width = hidden.shape[1]
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            j = sender[e]
+            for c in range(width):
+                value = hidden[e, c] + sending[j, c] + receiving[i, c]
+                hidden[e, c] = np.float32(0) if value <= 0 else value  # so that NaN stays NaN
+
+
+@_compiled
+def _gather_backward(
+    above: Array, hidden: Array, sender: Any, start: Any, to_edge: Array, to_sending: Array, to_receiving: Array
+) -> None:
+    width = hidden.shape[1]
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            j = sender[e]
+            for c in range(width):
+                gradient = above[e, c] if hidden[e, c] > 0 else np.float32(0)
+                to_edge[e, c] = gradient
+                to_sending[j, c] += gradient
+                to_receiving[i, c] += gradient
+
+
+@_compiled
+def _norm_forward(
+    value: Array, weight: Array, bias: Array, edge: Array, start: Any, inverse: Array, updated: Array, received: Array
+) -> None:
+    """Turn `value` into its normalised form in place; fill 1 / deviation, edge + message and the sums of messages."""
+    width = value.shape[1]
+    keep = updated.shape[0] > 0
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            total, square = np.float32(0), np.float32(0)
+            for c in range(width):
+                total += value[e, c]
+            mean = total / np.float32(width)
+            for c in range(width):
+                square += (value[e, c] - mean) ** 2
+            scale = np.float32(1) / np.sqrt(square / np.float32(width) + np.float32(EPSILON))
+            inverse[e] = scale
+            if keep:
+                for c in range(width):
+                    normal = (value[e, c] - mean) * scale
+                    message = normal * weight[c] + bias[c]
+                    value[e, c] = normal
+                    updated[e, c] = edge[e, c] + message
+                    received[i, c] += message
+            else:
+                for c in range(width):
+                    normal = (value[e, c] - mean) * scale
+                    value[e, c] = normal
+                    received[i, c] += normal * weight[c] + bias[c]
+
+
+@_compiled
+def _norm_backward(
+    to_updated: Array,
+    to_received: Array,
+    normal: Array,
+    inverse: Array,
+    weight: Array,
+    start: Any,
+    to_value: Array,
+    to_weight: Array,
+    to_bias: Array,
+) -> None:
+    width = normal.shape[1]
+    share = np.float32(1) / np.float32(width)
+    kept = to_updated.shape[0] > 0
+    above = np.empty(width, dtype=np.float32)
+    # Sums over the edges of one node first: float32 sums over all edges would lose digits.
+    node_weight, node_bias = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
+    for i in range(len(start) - 1):
+        node_weight[:] = 0
+        node_bias[:] = 0
+        for e in range(start[i], start[i + 1]):
+            for c in range(width):
+                above[c] = to_received[i, c]
+            if kept:
+                for c in range(width):
+                    above[c] += to_updated[e, c]
+            mean, along = np.float32(0), np.float32(0)
+            for c in range(width):
+                gradient = above[c] * weight[c]
+                mean += gradient
+                along += gradient * normal[e, c]
+            mean *= share
+            along *= share
+            for c in range(width):
+                to_value[e, c] = inverse[e] * (above[c] * weight[c] - mean - normal[e, c] * along)
+                node_weight[c] += above[c] * normal[e, c]
+                node_bias[c] += above[c]
+        for c in range(width):
+            to_weight[c] += node_weight[c]
+            to_bias[c] += node_bias[c]
+
+
+class _Gather(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, edge: Tensor, sending: Tensor, receiving: Tensor, edges: SortedEdges) -> Tensor:
+        ctx.mark_dirty(edge)
+        _gather_forward(*_arrays(edge, sending, receiving, edges.sender, edges.start))
+        ctx.save_for_backward(edge)
+        ctx.edges = edges
+        return edge
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, above: Tensor) -> tuple[Tensor, Tensor, Tensor, None]:
+        (hidden,) = ctx.saved_tensors
+        edges: SortedEdges = ctx.edges
+        to_edge = torch.empty_like(hidden)
+        to_sending = hidden.new_zeros(len(edges.start) - 1, hidden.shape[1])
+        to_receiving = torch.zeros_like(to_sending)
+        _gather_backward(
+            *_arrays(above.contiguous(), hidden, edges.sender, edges.start, to_edge, to_sending, to_receiving)
+        )
+        return to_edge, to_sending, to_receiving, None
+
+
+class _NormAndSum(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, value: Tensor, weight: Tensor, bias: Tensor, edge: Tensor, edges: SortedEdges, keep: bool
+    ) -> tuple[Tensor, Tensor]:
+        # The products before do not need their own output for their gradient, so the norm is made in place of it.
+        normal = value.detach()
+        inverse = normal.new_empty(len(normal))
+        updated = torch.empty_like(edge) if keep else normal.new_empty(0, normal.shape[1])
+        received = normal.new_zeros(len(edges.start) - 1, normal.shape[1])
+        _norm_forward(*_arrays(normal, weight, bias, edge, edges.start, inverse, updated, received))
+        ctx.save_for_backward(normal, inverse, weight)
+        ctx.edges, ctx.keep = edges, keep
+        return updated, received
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, to_updated: Tensor, to_received: Tensor) -> tuple[Tensor | None, ...]:
+        normal, inverse, weight = ctx.saved_tensors
+        to_value = torch.empty_like(normal)
+        to_weight, to_bias = torch.zeros_like(weight), torch.zeros_like(weight)
+        kept = to_updated.contiguous() if ctx.keep else normal.new_empty(0, normal.shape[1])
+        _norm_backward(
+            *_arrays(
+                kept, to_received.contiguous(), normal, inverse, weight, ctx.edges.start, to_value, to_weight, to_bias
+            )
+        )
+        return to_value, to_weight, to_bias, to_updated if ctx.keep else None, None, None
+
+
+def _arrays(*tensors: Tensor) -> list[NDArray[Any]]:
+    return [tensor.detach().numpy() for tensor in tensors]
+
+
+def gather_and_rectify(edge: Tensor, sending: Tensor, receiving: Tensor, edges: SortedEdges) -> Tensor:
+    """Return relu(edge + sending[sender] + receiving[receiver]) [E, L]; `edge` is overwritten.
+
+    Args:
+        edge: a product's output, which nobody else needs [E, L] float32, on the CPU.
+        sending: [N, L].
+        receiving: [N, L].
+        edges: sorted by receiver.
+    """
+    result: Tensor = _Gather.apply(edge, sending.contiguous(), receiving.contiguous(), edges)  # type: ignore[no-untyped-call]
+    return result
+
+
+def norm_and_sum(
+    value: Tensor, norm: torch.nn.LayerNorm, edge: Tensor, edges: SortedEdges, *, keep: bool
+) -> tuple[Tensor, Tensor]:
+    """Return edge + m [E, L] and Σ m over the edges of every receiver [N, L], where m = norm(value).
+
+    Args:
+        value: a product's output, which nobody else needs; overwritten [E, L] float32, on the CPU.
+        norm: over L.
+        edge: edge states [E, L].
+        edges: sorted by receiver.
+        keep: whether the new edge states are wanted; else an empty tensor comes in their place.
+    """
+    result: tuple[Tensor, Tensor] = _NormAndSum.apply(value, norm.weight, norm.bias, edge.contiguous(), edges, keep)  # type: ignore[no-untyped-call]
+    return result
