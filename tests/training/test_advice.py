@@ -215,7 +215,8 @@ def test_one_aspect_ratio_and_no_validation(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("faults", "sentence"),
     [
-        ({"scale": 80.0}, "positions look 80"),
+        ({"scale": 80.0}, "positions are 80 times what they were in metres"),
+        ({"scale": 0.01}, "positions are 0.01 times what they were in metres"),
         ({"dt_factor": 2.0}, "dt = 0.02 s does not fit the motion, 0.01 s would"),
     ],
 )

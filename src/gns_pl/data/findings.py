@@ -1,6 +1,6 @@
 """What a survey of a data set finds, as plain numbers, and the thresholds by which particles count as moving.
 
-Only the record is here: `survey` fills it, `training.suggestions` judges it.
+Only the record is here: `survey` fills it, `training.advice` judges it.
 """
 
 from __future__ import annotations

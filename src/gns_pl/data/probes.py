@@ -1,6 +1,6 @@
 """What a few frames tell about a data set: spacing, neighbours, gravity, impacts. Pure functions of arrays.
 
-No file is read here, and nothing is compared with a setting; `survey` collects the frames, `training.suggestions` draws
+No file is read here, and nothing is compared with a setting; `survey` collects the frames, `training.advice` draws
 the conclusions.
 """
 

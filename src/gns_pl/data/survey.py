@@ -2,7 +2,7 @@
 
 The sample: the first and last frames of all training trajectories (some hundreds at most), and windows of four frames
 spread over some twenty of them. Particles enter alike, kinematic ones not at all. Nothing here knows of a network or
-judges anything; `training.suggestions` does.
+judges anything; `training.advice` does.
 """
 
 from __future__ import annotations

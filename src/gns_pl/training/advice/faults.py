@@ -51,9 +51,8 @@ def _lengths(advice: Advice) -> Suggestion | None:
     text = f"particles lie {density.measured:.3g} m apart, the manifest says {density.spacing:.3g} m"
     if _near(motion.gravity / motion.gravity_stated / factor, SAME_FACTOR):
         text += f", and free fall is {motion.gravity:.3g} m/s² instead of {motion.gravity_stated:.3g}"
-        return Suggestion(
-            f"{text}: positions look {factor:.3g} times too large; divide them by it, lengths are in metres."
-        )
+        times = motion.gravity / motion.gravity_stated  # the sharper of the two
+        return Suggestion(f"{text}: positions are {times:.3g} times what they were in metres; divide them by it.")
     return Suggestion(f"{text}: positions are not in metres, or the manifest's spacing is wrong.")
 
 

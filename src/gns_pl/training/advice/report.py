@@ -180,7 +180,7 @@ def _motion_rows(advice: Advice) -> list[tuple[str, str, str]]:
         (
             "outside the box",
             percent(faults.outside),
-            f"of the particles; largest coordinate {number(faults.extent)} m; "
+            f"of the particles, by more than a spacing; largest coordinate {number(faults.extent)} m; "
             f"{len(faults.not_finite)} files not finite",
         ),
     ]
