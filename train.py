@@ -20,6 +20,11 @@ def main(cfg: DictConfig) -> None:
     """Train with one config; Hydra calls it once per job of a sweep."""
     with told_plainly("train.py", in_sweep=HydraConfig.get().mode == RunMode.MULTIRUN):
         output = Path(HydraConfig.get().runtime.output_dir)
+        if cfg.advise:
+            from gns_pl.training.advice import advise
+
+            advise(cfg, output)
+            return
         resume = find_resume(cfg.resume, output)  # before the heavy imports: torch, Lightning, W&B
         from gns_pl.training.train import train
 

@@ -65,3 +65,11 @@ def test_bad_input_is_one_sentence(tmp_path: Path, argument: str, sentence: str)
     assert result.returncode == 2
     assert result.stderr.strip().splitlines()[-1].startswith("train.py: ") and sentence in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_advice_instead_of_a_training(tmp_path: Path) -> None:
+    result = run(tmp_path, *tiny("advise=true"))
+    assert result.returncode == 0, result.stderr
+    output = tmp_path / "runs/quickstart"
+    assert "neighbours within it" in result.stdout and (output / "advice.json").is_file()
+    assert not (output / "last.ckpt").exists() and not (output / "csv").exists()
