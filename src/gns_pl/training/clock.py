@@ -54,7 +54,7 @@ class Clock(Callback):
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log when the errors were reached."""
-        pl_module.log("hours", self.seconds / 3600, batch_size=1)
+        pl_module.log("hours", self.seconds / 3600, batch_size=1, sync_dist=True)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Leave the validation out of the time of a step."""

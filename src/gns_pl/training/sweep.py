@@ -76,7 +76,7 @@ class SweepReport(Callback):
         """
         _failure_file(config).unlink(missing_ok=True)
         if multiprocessing.get_start_method(allow_none=True) not in (None, *multiprocessing.get_all_start_methods()):
-            multiprocessing.set_start_method(None, force=True)  # type: ignore[arg-type]  # back to the system's
+            multiprocessing.set_start_method(None, force=True)  # back to the system's
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
         """Leave the reason of a failure in the job's folder."""

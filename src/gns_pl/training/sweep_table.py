@@ -1,4 +1,4 @@
-"""The jobs of a sweep as rows: read from their folders, written as CSV and Markdown, printed, and turned into points."""
+"""The jobs of a sweep as rows: read from their folders, written as CSV and Markdown, printed, made into points."""
 
 from __future__ import annotations
 

@@ -86,7 +86,13 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
             import wandb
 
             wandb.finish()  # or the jobs of a sweep would merge into one run
-    made = [last, output / "best.ckpt", *run_files(output), *sorted(output.glob("csv/*/metrics.csv")), *sorted(output.glob("wandb/*run-*"))]
+    made = [
+        last,
+        output / "best.ckpt",
+        *run_files(output),
+        *sorted(output.glob("csv/*/metrics.csv")),
+        *sorted(output.glob("wandb/*run-*")),
+    ]
     print("Made:", *(path for path in made if path.exists()), sep="\n  ")
     return last
 

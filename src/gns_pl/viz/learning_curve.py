@@ -78,7 +78,11 @@ def _draw_position_error(axes: Any, where: Floats, validation: Mapping[str, Floa
         best = int(np.nanargmin(errors))
         axes.plot(where[best], errors[best], "o", color=COLOURS[1], markersize=7, fillstyle="none")
         axes.annotate(
-            f"best {errors[best]:.3g}", (where[best], errors[best]), xytext=(0, 7), textcoords="offset points", fontsize=7
+            f"best {errors[best]:.3g}",
+            (where[best], errors[best]),
+            xytext=(0, 7),
+            textcoords="offset points",
+            fontsize=7,
         )
         axes.set_ylim(0, 1.2 * np.nanmax(errors))
 
