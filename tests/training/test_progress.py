@@ -30,7 +30,7 @@ def test_the_bar_reads_the_loss_once_a_second_and_shows_what_matters(monkeypatch
     for _ in range(50):
         shown = bar.get_metrics(trainer, None)  # type: ignore[arg-type]
         now[0] += 0.01
-    assert shown == {"windows/s": "105", "loss": "0.123", "rollout": "2 spacings", "runout": "-25 %"}
+    assert shown == {"windows/s": "105", "loss": "0.123", "error": "2", "runout": "-25%"}
     assert trainer.readings == 1
     now[0] += 1
     bar.get_metrics(trainer, None)  # type: ignore[arg-type]

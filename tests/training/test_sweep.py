@@ -104,13 +104,8 @@ def test_words_and_groups_are_swept_too(tmp_path: Path) -> None:
 
 
 def config(folder: Path, **more: Any) -> Any:
-    return OmegaConf.create(
-        {
-            "name": "quickstart",
-            "hydra": {"mode": "MULTIRUN", "sweep": {"dir": str(folder)}, "runtime": {"output_dir": str(folder / "0-job")}},
-            **more,
-        }
-    )  # fmt: skip
+    places = {"sweep": {"dir": str(folder)}, "runtime": {"output_dir": str(folder / "0-job")}}
+    return OmegaConf.create({"name": "quickstart", "hydra": {"mode": "MULTIRUN", **places}, **more})
 
 
 def test_a_failure_is_noted_and_forgotten_when_tried_again(tmp_path: Path) -> None:

@@ -47,9 +47,10 @@ class ValidationLine(Callback):
 
 
 class TrainingProgress(RichProgressBar):
-    """A bar with the time taken and left, windows/s, the loss and the latest validation errors.
+    """A bar with the time taken and left, windows/s, the loss and two errors of the latest validation.
 
-    Unlike Lightning's it reads the loss once a second and not in every step, for which the device would have to stop.
+    These are the position error [spacings] and that of the final 99 % runout. Unlike Lightning's bar it reads the loss
+    once a second and not in every step, for which the device would have to stop.
 
     Args:
         title: stands before the bar.
@@ -67,7 +68,7 @@ class TrainingProgress(RichProgressBar):
 
         return [
             TextColumn("{task.description}"),
-            BarColumn(bar_width=20),
+            BarColumn(bar_width=12),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TextColumn("left"),
@@ -88,8 +89,8 @@ class TrainingProgress(RichProgressBar):
                 self._shown["loss"] = f"{float(logged['loss']):.3g}"
             errors = validation_values(trainer)
             if "position_error" in errors:
-                self._shown["rollout"] = f"{errors['position_error']:.3g} spacings"
+                self._shown["error"] = f"{errors['position_error']:.3g}"
             if "runout_99_error" in errors:
-                self._shown["runout"] = f"{100 * errors['runout_99_error']:+.0f} %"
+                self._shown["runout"] = f"{100 * errors['runout_99_error']:+.0f}%"
             self._read = time.perf_counter()
         return self._shown

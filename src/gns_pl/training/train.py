@@ -81,11 +81,13 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         hint = f"; to go on, add resume={last} hydra.run.dir={output}" if last.is_file() else ""
         raise SystemExit(f"train.py: stopped after {trainer.global_step} steps{hint}") from None
     finally:
-        close_run(output, trainer, module, datamodule)
-        if "wandb" in settings["logger"]:
-            import wandb
+        try:
+            close_run(output, trainer, module, datamodule)
+        finally:
+            if "wandb" in settings["logger"]:
+                import wandb
 
-            wandb.finish()  # or the jobs of a sweep would merge into one run
+                wandb.finish()  # or the jobs of a sweep would merge into one run
     made = [
         last,
         output / "best.ckpt",

@@ -77,13 +77,9 @@ def _draw_position_error(axes: Any, where: Floats, validation: Mapping[str, Floa
     if np.isfinite(errors).any():
         best = int(np.nanargmin(errors))
         axes.plot(where[best], errors[best], "o", color=COLOURS[1], markersize=7, fillstyle="none")
-        axes.annotate(
-            f"best {errors[best]:.3g}",
-            (where[best], errors[best]),
-            xytext=(0, 7),
-            textcoords="offset points",
-            fontsize=7,
-        )
+        side = "right" if 2 * best >= len(errors) else "left"
+        place, label = (where[best], errors[best]), f"best {errors[best]:.3g}"
+        axes.annotate(label, place, xytext=(0, 7), textcoords="offset points", fontsize=7, ha=side)
         axes.set_ylim(0, 1.2 * np.nanmax(errors))
 
 
