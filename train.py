@@ -1,18 +1,15 @@
 """python train.py +experiment=NAME [key=value …]: generate the data where missing, train a simulator on them."""
 
-import re
 from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from gns_pl.errors import told_plainly
 from gns_pl.training.resume import find_resume
-
-# Names a sweep's folders by what is overridden, in characters and at a length that paths and `ckpt=…` can take.
-OmegaConf.register_new_resolver("shortened", lambda text: re.sub(r"[^\w.+-]+", "_", str(text))[:120])
+from gns_pl.training.sweep import sweep_reported
 
 
 @hydra.main(version_base=None, config_path="conf", config_name="train")
@@ -28,8 +25,9 @@ def main(cfg: DictConfig) -> None:
         resume = find_resume(cfg.resume, output)  # before the heavy imports: torch, Lightning, W&B
         from gns_pl.training.train import train
 
-        print(f"Trained. To judge it: python evaluate.py ckpt={train(cfg, output, resume)}")
+        print(f"Trained. To judge its last state: python evaluate.py ckpt={train(cfg, output, resume)}")
 
 
 if __name__ == "__main__":
-    main()
+    with sweep_reported():
+        main()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from gns_pl.checkpoint import load_checkpoint
+from gns_pl.training.summary import read_summary
 from tests.training.conftest import TINY
 
 ROOT = Path(__file__).parents[2]
@@ -18,6 +20,11 @@ ONE_FAMILY = [f"data.families.cube_drop.{setting}" for setting in ("count=3", "d
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "train.py"), *arguments]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def tiny(*more: str) -> list[str]:
@@ -34,6 +41,10 @@ def test_train_again_and_sweep(tmp_path: Path) -> None:
     last = tmp_path / "runs/quickstart/last.ckpt"
     assert "evaluate.py ckpt=" in first.stdout and load_checkpoint(last).provenance["steps"] == 6
     assert list((last.parent / "wandb").glob("offline-run-*")) and list((last.parent / "csv").glob("*/metrics.csv"))
+    media = last.parent.glob("wandb/offline-run-*/files/media/images/**/*.png")
+    shown = sorted(path.name.split("_")[0] for path in media)
+    assert shown == ["curves", "curves", "deposit", "deposit", "learning"]  # two validations, and the end
+    assert (last.parent / "learning_curve.png").is_file() and read_summary(last.parent) is not None
     before = last.read_bytes()
 
     again = run(tmp_path, *tiny())  # trained already: nothing is redone or lost
@@ -48,12 +59,22 @@ def test_train_again_and_sweep(tmp_path: Path) -> None:
     jobs = sorted((tmp_path / "runs/sweep").glob("*/last.ckpt"))
     assert [load_checkpoint(job).simulator.config.num_message_passing_steps for job in jobs] == [1, 2]
     assert all(len(list((job.parent / "wandb").glob("offline-run-*"))) == 1 for job in jobs)
+    rows = read_rows(tmp_path / "runs/sweep/sweep.csv")
+    assert [row["model.num_message_passing_steps"] for row in rows] == ["1", "2"]
+    assert all(float(row["position_error"]) > 0 and float(row["rollout_step_ms"]) > 0 for row in rows)
+    assert (tmp_path / "runs/sweep/sweep.png").is_file() and "sweep.md" in sweep.stdout
+    runs = [path.read_bytes() for path in (tmp_path / "runs/sweep").glob("**/offline-run-*/run-*.wandb")]
+    assert len(runs) == 3 and all(b"runs_sweep" in run for run in runs)  # two jobs and the sweep, in one group
 
 
 def test_a_bad_job_does_not_end_a_sweep(tmp_path: Path) -> None:
     sweep = run(tmp_path, "-m", *tiny("training.noise_std=-1,1e-4", "hydra.sweep.dir=runs/sweep", "~logger.wandb"))
     assert sweep.returncode != 0 and "noise_std must not be negative" in sweep.stderr
     assert [path.parent.name[0] for path in (tmp_path / "runs/sweep").glob("*/last.ckpt")] == ["1"]
+    rows = read_rows(tmp_path / "runs/sweep/sweep.csv")
+    assert [row["status"] for row in rows] == ["failed", "finished"] and "noise_std" in rows[0]["error"]
+    assert rows[0]["position_error"] == "" and float(rows[1]["position_error"]) > 0
+    assert not list((tmp_path / "runs/sweep").glob("**/wandb"))
 
 
 @pytest.mark.parametrize(

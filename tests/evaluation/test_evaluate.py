@@ -180,6 +180,6 @@ def test_other_refusals(checkpoint, tmp_path, monkeypatch) -> None:
     save_checkpoint(tmp_path / "foreign.ckpt", Checkpoint(make_simulator(), {"name": "imported"}, {}))
     with pytest.raises(InputError, match="by which MPM"):
         run(tmp_path / "foreign.ckpt", tmp_path)
-    monkeypatch.setattr(module, "_installed", lambda name: False)
+    monkeypatch.setattr("gns_pl.viz.missing_packages", lambda: ["matplotlib"])
     with pytest.raises(InputError, match=r"pip install 'gns_pl\[viz\]'"):
         module.check_figures()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -63,15 +62,13 @@ def evaluate_config(cfg: DictConfig) -> dict[str, Any]:
 
 def check_figures() -> None:
     """Raise an `InputError` if the packages that draw are missing."""
-    missing = [name for name, module in (("matplotlib", "matplotlib"), ("pillow", "PIL")) if not _installed(module)]
+    from gns_pl.viz import missing_packages
+
+    missing = missing_packages()
     if missing:
         raise InputError(
             f"figures need {' and '.join(missing)}: pip install 'gns_pl[viz]', or go without: evaluation.figures=false"
         )
-
-
-def _installed(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None
 
 
 def evaluate(

@@ -128,13 +128,16 @@ class SimulatorModule(LightningModule):
             self.log("windows_per_s", (self._windows - windows) / (now - before), prog_bar=True, batch_size=1)
             self._clock = (now, self._windows)
 
-    def validation_step(self, reference: Trajectory, batch_index: int) -> None:
-        """Roll a whole validation trajectory out from its first frame and log its errors."""
+    def validation_step(self, reference: Trajectory, batch_index: int) -> dict[str, Any]:
+        """Roll a whole validation trajectory out from its first frame, log its errors, and return it for figures."""
         predicted = rollout(self.simulator, reference, reference.num_frames - 1)
         for name, value in rollout_errors(predicted, reference).items():
             if math.isnan(value) and name != MONITORED:
                 continue  # not defined for this scene, or the rollout failed, which the monitored error shows
             self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED)
+        seconds = cast(float, predicted.provenance["wall_seconds"]) / max(1, predicted.num_frames - 1)
+        self.log("valid/rollout_step_seconds", seconds, batch_size=1)
+        return {"predicted": predicted}
 
     def on_validation_epoch_end(self) -> None:
         """Leave the time of the rollouts out of the pace."""

@@ -24,6 +24,7 @@ from gns_pl.generation import generate_dataset
 from gns_pl.io import Manifest, manifest_sha256
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.simulator import SimulatorConfig
+from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import steps_made
@@ -82,11 +83,20 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         hint = f"; to go on, add resume={last} hydra.run.dir={output}" if last.is_file() else ""
         raise SystemExit(f"train.py: stopped after {trainer.global_step} steps{hint}") from None
     finally:
-        if "wandb" in settings["logger"]:
-            import wandb
+        try:
+            close_run(output, trainer, module, datamodule)
+        finally:
+            if "wandb" in settings["logger"]:
+                import wandb
 
-            wandb.finish()  # or the jobs of a sweep would merge into one run
-    made = [last, output / "best.ckpt", *sorted(output.glob("csv/*/metrics.csv")), *sorted(output.glob("wandb/*run-*"))]
+                wandb.finish()  # or the jobs of a sweep would merge into one run
+    made = [
+        last,
+        output / "best.ckpt",
+        *run_files(output),
+        *sorted(output.glob("csv/*/metrics.csv")),
+        *sorted(output.glob("wandb/*run-*")),
+    ]
     print("Made:", *(path for path in made if path.exists()), sep="\n  ")
     return last
 

@@ -1,9 +1,26 @@
-"""Figures and animations of trajectories and of their curves. Nothing is measured here, and nothing is simulated.
+"""Figures and animations of trajectories, of their curves, of trainings and of sweeps. Nothing is measured here.
 
 matplotlib and pillow (extra `viz`) are imported inside the functions that draw.
 """
 
-from gns_pl.viz.animation import write_animation
-from gns_pl.viz.plots import plot_curves, plot_evolution
+from importlib.util import find_spec
 
-__all__ = ["plot_curves", "plot_evolution", "write_animation"]
+from gns_pl.viz.animation import write_animation
+from gns_pl.viz.learning_curve import plot_learning_curve
+from gns_pl.viz.plots import plot_curves, plot_evolution
+from gns_pl.viz.sweep import SweepPoint, plot_sweep
+
+__all__ = [
+    "SweepPoint",
+    "missing_packages",
+    "plot_curves",
+    "plot_evolution",
+    "plot_learning_curve",
+    "plot_sweep",
+    "write_animation",
+]
+
+
+def missing_packages() -> list[str]:
+    """Return the names of the packages that drawing needs and that are not installed."""
+    return [name for name, module in (("matplotlib", "matplotlib"), ("pillow", "PIL")) if find_spec(module) is None]

@@ -1,0 +1,61 @@
+"""How long a training takes: its wall time over all starts, and the time of a step."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, cast
+
+from lightning.pytorch import Callback, LightningModule, Trainer
+
+
+class Clock(Callback):
+    """Logs `hours` beside the loss and beside every validation, and `step_seconds`, the mean over the steps since.
+
+    The time goes into checkpoints, so that a resumed run's hours go on where its checkpoint was written. What a killed
+    start did after its last checkpoint is lost, and its time is not counted either. `step_seconds` leaves validations
+    out; a median over them leaves the writing of checkpoints out, too.
+    """
+
+    def __init__(self) -> None:
+        self._before = 0.0
+        self._began: float | None = None
+        self._mark = (0.0, 0)
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the fit so far, with that of the starts before [s]."""
+        return self._before + (0.0 if self._began is None else time.perf_counter() - self._began)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the time so far."""
+        return {"seconds": self.seconds}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on from the time of a checkpoint."""
+        self._before = float(state_dict["seconds"])
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Start."""
+        self._began = time.perf_counter()
+        self._mark = (self._began, trainer.global_step)
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Log as often as the loss is logged."""
+        since, before = self._mark
+        step = trainer.global_step
+        if step % cast(Any, trainer).log_every_n_steps == 0 and step > before:
+            float(outputs["loss"])  # waits for the device
+            now = time.perf_counter()
+            pl_module.log("step_seconds", (now - since) / (step - before), batch_size=1)
+            pl_module.log("hours", self.seconds / 3600, batch_size=1)
+            self._mark = (now, step)
+
+    def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Log when the errors were reached."""
+        pl_module.log("hours", self.seconds / 3600, batch_size=1, sync_dist=True)
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Leave the validation out of the time of a step."""
+        self._mark = (time.perf_counter(), trainer.global_step)

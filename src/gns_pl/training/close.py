@@ -1,0 +1,127 @@
+"""What a training ends with: summary.json for programs (sweeps read it), the same in words, and the learning curve."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lightning.pytorch import Trainer
+
+from gns_pl.data.datamodule import TrajectoryDataModule
+from gns_pl.evaluation.report import without_nan
+from gns_pl.io.atomic import write_atomically
+from gns_pl.training.clock import Clock
+from gns_pl.training.history import Floats, History, read_history
+from gns_pl.training.module import MONITORED, SimulatorModule
+from gns_pl.training.summary import FORMAT, FORMAT_VERSION, SUMMARY_FILE, headline, summary_lines
+from gns_pl.viz import missing_packages, plot_learning_curve
+
+CURVE_FILE = "learning_curve.png"
+
+
+def close_run(output: Path, trainer: Trainer, module: SimulatorModule, datamodule: TrajectoryDataModule) -> None:
+    """Write summary.json and learning_curve.png into the run's folder, log the figure, and print the summary.
+
+    It is called however the fit ended, and does nothing if that was before the first step.
+
+    Args:
+        output: folder of the run.
+        trainer: after the fit.
+        module: what was trained.
+        datamodule: what it was trained on.
+    """
+    if not trainer.is_global_zero or trainer.global_step == 0:
+        return
+    for logger in trainer.loggers:
+        logger.save()
+    history = read_history(output)
+    summary = summarise_run(history, output=output, trainer=trainer, module=module, datamodule=datamodule)
+    content = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    write_atomically(output / SUMMARY_FILE, content.encode())
+    if missing_packages():
+        print(f"No {CURVE_FILE}: it needs {' and '.join(missing_packages())} (pip install 'gns_pl[viz]').")
+    elif len(history.training["step"]):
+        plot_learning_curve(
+            history.training, history.validation, output / CURVE_FILE, title=f"{summary['name']}: {headline(summary)}"
+        )
+        for logger in trainer.loggers:
+            if hasattr(logger, "log_image"):
+                logger.log_image("learning_curve", [str(output / CURVE_FILE)], step=trainer.global_step)
+    print("", *summary_lines(summary), sep="\n", flush=True)
+
+
+def summarise_run(
+    history: History, *, output: Path, trainer: Trainer, module: SimulatorModule, datamodule: TrajectoryDataModule
+) -> dict[str, Any]:
+    """Return the content of summary.json: plain values in SI units, None for what is not known.
+
+    `wall_seconds` is the time of the fit with validations and checkpoints, over all starts that led here; making the
+    data is not in it. Times of a step are medians of what the history holds. `best` and `final` are the validations
+    with the least position error and the last one.
+
+    Args:
+        history: of the run, all its starts.
+        output: folder of the run.
+        trainer: after the fit.
+        module: what was trained.
+        datamodule: what it was trained on.
+    """
+    settings = module.provenance["config"]
+    clocks = [callback for callback in trainer.callbacks if isinstance(callback, Clock)]  # type: ignore[attr-defined]
+    steps, planned = trainer.global_step, module.optimisation["num_steps"]
+    final = _validation(history, -1)
+    summary = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "name": settings["name"],
+        "description": settings["description"],
+        "status": "finished" if steps >= planned else "stopped",
+        "steps": steps,
+        "num_steps": planned,
+        "num_starts": history.num_starts,
+        "wall_seconds": clocks[0].seconds if clocks else None,
+        "data": {
+            "name": settings["data"]["name"],
+            "num_train": len(datamodule.train_names),
+            "num_valid": len(datamodule.manifest.splits["valid"]),
+            "num_windows": len(datamodule.train_set),
+        },
+        "batch_size": datamodule.batch_size,
+        "num_parameters": sum(parameter.numel() for parameter in module.parameters()),
+        "device": str(trainer.strategy.root_device),
+        "num_threads": torch.get_num_threads(),
+        "step_seconds": _median(history.training["step_seconds"]),
+        "windows_per_s": _median(history.training["windows_per_s"]),
+        "rollout_step_seconds": _median(history.validation.get("rollout_step_seconds", np.empty(0))),
+        "best": _validation(history, best_validation(history)),
+        "final": final,
+        "checkpoint": str(output / ("best.ckpt" if (output / "best.ckpt").is_file() else "last.ckpt")),
+    }
+    plain: dict[str, Any] = without_nan(summary)
+    return plain
+
+
+def best_validation(history: History) -> int | None:
+    """Return the place of the validation with the least position error, None if there is none."""
+    errors = history.validation.get(MONITORED, np.empty(0))
+    return int(np.nanargmin(errors)) if np.isfinite(errors).any() else None
+
+
+def _validation(history: History, place: int | None) -> dict[str, float] | None:
+    if place is None or not len(history.validation["step"]):
+        return None
+    values = {name: float(column[place]) for name, column in history.validation.items()}
+    return values | {"step": int(values["step"])}
+
+
+def _median(values: Floats) -> float:
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else math.nan
+
+
+def run_files(output: Path) -> list[Path]:
+    """Return the paths of what `close_run` leaves in a run's folder."""
+    return [output / SUMMARY_FILE, output / CURVE_FILE]

@@ -1,0 +1,83 @@
+"""summary.json, which every training leaves in its folder, and the same in words. Nothing heavy is imported here."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Mapping
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+FORMAT = "gns_pl training summary"
+FORMAT_VERSION = 1
+SUMMARY_FILE = "summary.json"
+FAILURE_FILE = "failed.txt"
+"""In the folder of a sweep's job: why it failed."""
+
+
+def read_summary(run: Path) -> dict[str, Any] | None:
+    """Return the summary in a run's folder, None if there is none that can be read."""
+    try:
+        content: dict[str, Any] = json.loads((run / SUMMARY_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if content.get("format") == FORMAT else None
+
+
+def headline(summary: Mapping[str, Any]) -> str:
+    """Return steps and time in one phrase."""
+    wall = summary["wall_seconds"]
+    time = "" if wall is None else f" in {timedelta(seconds=round(wall))}"
+    starts = f", {summary['num_starts']} starts" if summary["num_starts"] > 1 else ""
+    return f"{summary['steps']:,} of {summary['num_steps']:,} steps{time}{starts}"
+
+
+def summary_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return summary.json in words, with the command that judges the best checkpoint."""
+    data = summary["data"]
+    lines = [
+        f"{summary['name']}: {summary['status']}, {headline(summary)}",
+        f"  data        {data['name']}: {data['num_windows']:,} windows of {data['num_train']} trajectories, "
+        f"{data['num_valid']} for validation",
+        f"  network     {summary['num_parameters']:,} parameters",
+    ]
+    threads = f", {summary['num_threads']} thread{'s' if summary['num_threads'] > 1 else ''}"
+    device = summary["device"] + (threads if summary["device"] == "cpu" else "")
+    paces = [
+        (summary["step_seconds"], 1e3, "ms a step"),
+        (summary["windows_per_s"], 1, "windows/s"),
+        (summary["rollout_step_seconds"], 1e3, "ms a step of a rollout"),
+    ]
+    known = [f"{value * factor:.3g} {unit}" for value, factor, unit in paces if value is not None]
+    lines.append(f"  pace        {', '.join(known) or 'not measured'} on {device}")
+    for label, values in (("best", summary["best"]), ("at the end", summary["final"])):
+        if values is not None:
+            lines.append(f"  {label:<11} step {values['step']:,}: {described(values)}")
+    lines.append(f"  to judge it python evaluate.py ckpt={shlex.quote(shown_path(summary['checkpoint']))}")
+    return lines
+
+
+def shown_path(path: str | Path) -> str:
+    """Return a path relative to the working directory if it lies below it."""
+    path = Path(path)
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
+def described(values: Mapping[str, float | None]) -> str:
+    """Return validation errors in words, leaving out what is not known.
+
+    Args:
+        values: errors by their names in `evaluation.metrics.ERRORS` and `SUMMARY`, without a prefix.
+    """
+    known = {name: value for name, value in values.items() if value is not None and math.isfinite(value)}
+    if "position_error" not in known:
+        return "rollouts not finite"
+    parts = [f"position error {known['position_error']:.3g} spacings"]
+    for name, word in (("runout_99_error", "runout"), ("mean_height_error", "mean height")):
+        if name in known:
+            parts.append(f"{word} {100 * known[name]:+.0f} %")
+    if "speed_mean" in known:
+        parts.append(f"{known['speed_mean']:.2g} m/s at the end")
+    return ", ".join(parts)

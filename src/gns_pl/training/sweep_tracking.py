@@ -1,0 +1,51 @@
+"""A sweep's table and figure as one more W&B run in the group of its jobs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from gns_pl.training.sweep_table import Job, measured, swept_names
+
+
+def log_sweep(
+    jobs: Sequence[Job], files: Sequence[Path], *, folder: Path, group: str, project: str, offline: bool
+) -> Path:
+    """Log the table and the figure, and close the run whatever happens.
+
+    Args:
+        jobs: of the sweep.
+        files: what was made; PNG files are logged.
+        folder: under which W&B puts its own folder.
+        group: of the jobs' runs.
+        project: W&B project.
+        offline: keep the run on this disk.
+
+    Returns:
+        Folder of the run.
+    """
+    import wandb
+
+    run = wandb.init(
+        project=project,
+        group=group,
+        name=group,
+        job_type="sweep",
+        dir=str(folder),
+        mode="offline" if offline else "online",
+        settings=wandb.Settings(silent=True, console="off"),
+    )
+    try:
+        swept, names = swept_names(jobs), list(measured(jobs[0]))
+        table = wandb.Table(columns=["job", *swept, "status", *names])
+        for job in jobs:
+            values = measured(job)
+            numbers: list[Any] = [None if values[name] is None else float(values[name] or 0.0) for name in names]
+            table.add_data(job.folder.name, *(job.parameters.get(name, "") for name in swept), job.status, *numbers)
+        images = {path.stem: wandb.Image(str(path)) for path in files if path.suffix == ".png"}
+        run.log({"jobs": table, **{f"{name}_figure": image for name, image in images.items()}})
+        run.summary.update({"num_jobs": len(jobs), "num_failed": sum(job.status == "failed" for job in jobs)})
+        return Path(run.dir).parent
+    finally:
+        wandb.finish()
