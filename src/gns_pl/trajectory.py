@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,10 @@ class Trajectory:
     def time(self) -> NDArray[np.float64]:
         """Time of every frame [T] [s]."""
         return np.arange(self.num_frames, dtype=np.float64) * np.float64(self.dt)
+
+    def every(self, stride: int) -> Trajectory:
+        """Return every `stride`-th frame, the first among them, with the time step that goes with it."""
+        return self if stride == 1 else replace(self, position=self.position[::stride], dt=self.dt * stride)
 
     def volume(self) -> NDArray[np.float32]:
         """Volume that every particle stands for: its mass over the density of the body it starts in [N] [m^D].

@@ -30,14 +30,21 @@ def paths(two: list[Trajectory], tmp_path: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("in_memory", [True, False])
-def test_every_window_is_a_slice(two: list[Trajectory], paths: list[Path], in_memory: bool) -> None:
-    windows = WindowDataset(paths, input_sequence_length=4, num_targets=1, start_repeats=1, in_memory=in_memory)
-    assert len(windows) == 8 + 4
-    for index in range(len(windows)):
-        which, frame = (0, index) if index < 8 else (1, index - 8)
+@pytest.mark.parametrize(("stride", "num_targets"), [(1, 1), (1, 3), (2, 2)])
+def test_every_window_is_a_slice(
+    two: list[Trajectory], paths: list[Path], in_memory: bool, stride: int, num_targets: int
+) -> None:
+    windows = WindowDataset(
+        paths, input_sequence_length=4, num_targets=num_targets, stride=stride, start_repeats=1, in_memory=in_memory
+    )
+    expected_frames = [(w, k) for w in (0, 1) for k in range(two[w].num_frames - stride * num_targets)]
+    assert len(windows) == len(expected_frames)
+    for index, (which, frame) in enumerate(expected_frames):
         trajectory = two[which]
         position = windows[index].position.numpy()
-        for place, wanted in enumerate(range(frame - 3, frame + 2)):
+        assert position.shape == (trajectory.num_particles, 4 + num_targets, 3)
+        for place in range(4 + num_targets):
+            wanted = frame + stride * (place - 3)
             if wanted >= 0:
                 expected = trajectory.position[wanted]
             else:
@@ -45,12 +52,12 @@ def test_every_window_is_a_slice(two: list[Trajectory], paths: list[Path], in_me
             np.testing.assert_allclose(position[:, place], expected, atol=1e-7)
         assert windows[index].num_nodes == trajectory.num_particles
     with pytest.raises(IndexError):
-        windows[12]
+        windows[len(expected_frames)]
 
 
 @pytest.mark.parametrize("num_workers", [0, 2])
 def test_batches_keep_scenes_apart(two: list[Trajectory], paths: list[Path], num_workers: int) -> None:
-    windows = WindowDataset(paths, input_sequence_length=3, num_targets=1, start_repeats=1, in_memory=False)
+    windows = WindowDataset(paths, input_sequence_length=3, num_targets=1, stride=1, start_repeats=1, in_memory=False)
     batch = next(iter(DataLoader(windows, batch_sampler=[[2, 9]], num_workers=num_workers)))
     counts = [trajectory.num_particles for trajectory in two]
     assert torch.bincount(batch.batch).tolist() == counts
@@ -61,17 +68,23 @@ def test_batches_keep_scenes_apart(two: list[Trajectory], paths: list[Path], num
 
 
 def test_windows_at_the_start_can_be_repeated(paths: list[Path]) -> None:
-    windows = WindowDataset(paths[:1], input_sequence_length=4, num_targets=1, start_repeats=3, in_memory=True)
+    windows = WindowDataset(
+        paths[:1], input_sequence_length=4, num_targets=1, stride=1, start_repeats=3, in_memory=True
+    )
     assert [frame for _, frame in windows.index] == [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 4, 5, 6, 7]
 
 
 def test_refusals(tmp_path: Path, drop: Scene) -> None:
     with pytest.raises(InputError, match="no trajectory"):
-        WindowDataset([], input_sequence_length=3, num_targets=1, start_repeats=1, in_memory=True)
+        WindowDataset([], input_sequence_length=3, num_targets=1, stride=1, start_repeats=1, in_memory=True)
     write_trajectory(tmp_path / "short.h5", make_moving(drop, frames=1, spacing=0.1))
     with pytest.raises(InputError, match=r"short\.h5"):
-        WindowDataset([tmp_path / "short.h5"], input_sequence_length=3, num_targets=1, start_repeats=1, in_memory=True)
+        WindowDataset(
+            [tmp_path / "short.h5"], input_sequence_length=3, num_targets=1, stride=1, start_repeats=1, in_memory=True
+        )
     slope = Plane((0, 0, 0.1), (1, 0, 3), Wall("slip"))
     write_trajectory(tmp_path / "slope.h5", make_moving(drop.replace(obstacles=(slope,)), frames=3, spacing=0.1))
     with pytest.raises(InputError, match=r"slope\.h5: its scene has obstacles"):
-        WindowDataset([tmp_path / "slope.h5"], input_sequence_length=3, num_targets=1, start_repeats=1, in_memory=True)
+        WindowDataset(
+            [tmp_path / "slope.h5"], input_sequence_length=3, num_targets=1, stride=1, start_repeats=1, in_memory=True
+        )

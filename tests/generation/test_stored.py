@@ -88,6 +88,7 @@ def test_the_one_to_train_on_is_returned_and_opens(root: Path, every: int | None
         num_steps=3,
         input_sequence_length=3,
         num_targets=1,
+        stride=1,
         start_repeats=1,
         num_workers=0,
         memory_limit=1e9,

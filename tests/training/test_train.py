@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 
 from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
+from gns_pl.io import read_manifest, read_trajectory
 from gns_pl.training.module import learning_rate_factor
 from gns_pl.training.resume import find_resume
 from gns_pl.training.train import statistics, train
@@ -67,6 +68,22 @@ def test_it_learns(data_root: Path, tmp_path: Path) -> None:
     train(make_config(data_root, tmp_path, *changes), tmp_path, None)
     losses = [float(row["loss"]) for row in rows(tmp_path) if row["loss"]]
     assert sum(losses[-30:]) / 30 < 0.35 * sum(losses[:5]) / 5
+
+
+def test_longer_steps(data_root: Path, tmp_path: Path) -> None:
+    """With a stride of two the simulator's step is twice the data's, and so are its windows and its validation."""
+    cfg = make_config(data_root, tmp_path, "training.stride=2", "training.optimisation.unroll_steps=2")
+    simulator = load_checkpoint(train(cfg, tmp_path, None)).simulator
+    assert simulator.config.dt == pytest.approx(0.04)
+    velocity, count = 0.0, 0
+    for path in sorted(data_root.glob("*.h5")):
+        if path.name in read_manifest(data_root).splits["train"]:
+            moved = np.diff(read_trajectory(path).position[::2].astype(float), axis=0) / 0.04
+            start = read_trajectory(path).initial_velocity[None]
+            velocity += float(np.square(np.concatenate([start, moved])).sum())
+            count += moved.size + start.size
+    noise = cfg.training.noise_std / 0.04
+    assert float(simulator.velocity_scale) == pytest.approx(math.sqrt(velocity / count + noise**2), rel=1e-5)
 
 
 def test_resuming_with_other_settings_is_refused(data_root: Path, tmp_path: Path) -> None:
@@ -174,14 +191,11 @@ def test_learning_rate() -> None:
 
 
 def test_statistics_are_root_mean_squares_with_gravity_and_noise() -> None:
-    manifest = SimpleNamespace(
-        dt=0.1,
-        statistics={
-            "velocity": {"mean": [3.0, 0.0], "std": [0.0, 4.0]},
-            "acceleration": {"mean": [0.0, -10.0], "std": [1.0, 0.0]},
-        },
-    )
-    plain = statistics(manifest, 9.0, 0.0)  # type: ignore[arg-type]
+    moments = {
+        "velocity": {"mean": [3.0, 0.0], "std": [0.0, 4.0]},
+        "acceleration": {"mean": [0.0, -10.0], "std": [1.0, 0.0]},
+    }
+    plain = statistics(moments, 0.1, 9.0, 0.0)
     assert plain == pytest.approx({"velocity": math.sqrt(12.5), "acceleration": 1.0})
-    noisy = statistics(manifest, 9.0, 0.2)  # type: ignore[arg-type]
+    noisy = statistics(moments, 0.1, 9.0, 0.2)
     assert noisy == pytest.approx({"velocity": math.sqrt(12.5 + 4), "acceleration": math.sqrt(1 + 400)})

@@ -12,6 +12,7 @@ from torch.utils.data import Dataset
 from torch_geometric.loader import DataLoader
 
 from gns_pl.data.sampler import StepSampler
+from gns_pl.data.statistics import RunningStatistics
 from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
 from gns_pl.io import read_manifest, read_trajectory
@@ -23,16 +24,18 @@ class TrajectoryDataset(Dataset[Trajectory]):
 
     Args:
         paths: trajectory files.
+        stride: frames of the files in a step.
     """
 
-    def __init__(self, paths: list[Path]) -> None:
+    def __init__(self, paths: list[Path], stride: int) -> None:
         self.paths = paths
+        self.stride = stride
 
     def __len__(self) -> int:
         return len(self.paths)
 
     def __getitem__(self, index: int) -> Trajectory:
-        return read_trajectory(self.paths[index])
+        return read_trajectory(self.paths[index]).every(self.stride)
 
 
 class TrajectoryDataModule(LightningDataModule):
@@ -44,6 +47,7 @@ class TrajectoryDataModule(LightningDataModule):
         num_steps: training steps in all.
         input_sequence_length: H.
         num_targets: frames behind the history in every window.
+        stride: frames of the files in a step.
         start_repeats: how often windows at the start of a trajectory are listed.
         num_workers: loader processes.
         memory_limit: the training set is kept in memory if its positions take no more than this [bytes].
@@ -62,6 +66,7 @@ class TrajectoryDataModule(LightningDataModule):
         num_steps: int,
         input_sequence_length: int,
         num_targets: int,
+        stride: int,
         start_repeats: int,
         num_workers: int,
         memory_limit: float,
@@ -75,6 +80,7 @@ class TrajectoryDataModule(LightningDataModule):
         self.num_steps = num_steps
         self.input_sequence_length = input_sequence_length
         self.num_targets = num_targets
+        self.stride = stride
         self.start_repeats = start_repeats
         self.num_workers = num_workers
         self.seed = seed
@@ -93,10 +99,13 @@ class TrajectoryDataModule(LightningDataModule):
                 [self.directory / name for name in self.train_names],
                 input_sequence_length=self.input_sequence_length,
                 num_targets=self.num_targets,
+                stride=self.stride,
                 start_repeats=self.start_repeats,
                 in_memory=self.in_memory,
             )
-        self.valid_set = TrajectoryDataset([self.directory / name for name in self.manifest.splits["valid"]])
+        self.valid_set = TrajectoryDataset(
+            [self.directory / name for name in self.manifest.splits["valid"]], self.stride
+        )
 
     def train_dataloader(self) -> DataLoader:
         """Return the batches of all steps still to make."""
@@ -108,6 +117,19 @@ class TrajectoryDataModule(LightningDataModule):
             first_step=self._steps_made,
         )
         return DataLoader(self.train_set, batch_sampler=sampler, num_workers=self.num_workers)
+
+    def statistics(self) -> dict[str, RunningStatistics]:
+        """Return the velocity's and the acceleration's over the training trajectories, at the step's stride.
+
+        They are those of `Trajectory.velocity` and `Trajectory.acceleration`.
+        """
+        dim = self.manifest.dim
+        velocity, acceleration = RunningStatistics(dim), RunningStatistics(dim)
+        for name in self.train_names:
+            trajectory = read_trajectory(self.directory / name).every(self.stride)
+            velocity.update(trajectory.velocity().reshape(-1, dim))
+            acceleration.update(trajectory.acceleration().reshape(-1, dim))
+        return {"velocity": velocity, "acceleration": acceleration}
 
     def val_dataloader(self) -> TorchDataLoader[Trajectory]:
         """Return the validation trajectories one by one, to be rolled out."""

@@ -23,19 +23,20 @@ from gns_pl.trajectory import Trajectory, ballistic_history
 class WindowDataset(Dataset[Data]):
     """Every window of a list of trajectory files.
 
-    A trajectory has a window for every frame k = 0 … T − 1 − U, which holds the latest history position; the U targets
-    are in the frames behind it. Windows whose history begins before the first frame are rare but decide how a scene
-    sets out, so they can be listed several times.
+    A trajectory has a window for every frame k = 0 … T − 1 − s U, which holds the latest history position; with a
+    stride s the frames before it and the U targets behind it are s frames apart. Windows whose history begins before
+    the first frame are rare but decide how a scene sets out, so they can be listed several times.
 
     Args:
         paths: trajectory files.
         input_sequence_length: H.
         num_targets: U, frames behind the history.
+        stride: s, frames of the files in a step.
         start_repeats: how often windows are listed whose history begins before the first frame.
         in_memory: keep all positions in memory; otherwise each window is read from its file.
 
     Raises:
-        InputError: no file, one with fewer than U + 1 frames, or one whose scene has obstacles.
+        InputError: no file, one with fewer than s U + 1 frames, or one whose scene has obstacles.
     """
 
     def __init__(
@@ -44,13 +45,14 @@ class WindowDataset(Dataset[Data]):
         *,
         input_sequence_length: int,
         num_targets: int,
+        stride: int,
         start_repeats: int,
         in_memory: bool,
     ) -> None:
         if not paths:
             raise InputError("there is no trajectory to train on; give the split at least one.")
-        self.length = input_sequence_length
-        self.num_targets = num_targets
+        self.stride = stride
+        self.before, self.behind = stride * (input_sequence_length - 1), stride * num_targets  # frames of the files
         self.paths = list(paths)
         self.constant: list[dict[str, torch.Tensor]] = []
         self._position: list[NDArray[np.float32] | None] = []
@@ -60,14 +62,14 @@ class WindowDataset(Dataset[Data]):
             # Without memory for all frames only the first one is read here, which the pre-history needs.
             num_frames = read_header(path).num_frames
             trajectory = read_trajectory(path, num_frames=None if in_memory else 1)
-            if num_frames <= num_targets:
-                raise InputError(f"{path}: has {num_frames} frames; a window needs at least {num_targets + 1}.")
+            if num_frames <= self.behind:
+                raise InputError(f"{path}: has {num_frames} frames; a window needs at least {self.behind + 1}.")
             if trajectory.scene.obstacles:
                 raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
-            for frame in range(num_frames - num_targets):
-                self.index += [(which, frame)] * (start_repeats if frame < input_sequence_length - 1 else 1)
+            for frame in range(num_frames - self.behind):
+                self.index += [(which, frame)] * (start_repeats if frame < self.before else 1)
             past = ballistic_history(
-                trajectory.position[0], trajectory.initial_velocity, trajectory.dt, input_sequence_length
+                trajectory.position[0], trajectory.initial_velocity, trajectory.dt, self.before + 1
             )
             self._pre_history.append(past[:-1].astype(np.float32))
             self.constant.append(_constant(trajectory))
@@ -79,13 +81,14 @@ class WindowDataset(Dataset[Data]):
     def __getitem__(self, index: int) -> Data:
         """Return a PyG `Data`: `position` [N, H + U, D] and the fields of `graph.Static` for one scene."""
         which, frame = self.index[index]
-        first = max(0, frame - self.length + 1)
+        first = max(0, frame - self.before)
         stored = self._position[which]
-        frames = frame + 1 + self.num_targets - first
+        frames = frame + self.behind + 1 - first
         window = stored[first : first + frames] if stored is not None else read_window(self.paths[which], first, frames)
-        missing = self.length + self.num_targets - frames
+        missing = self.before + self.behind + 1 - frames
         if missing:
             window = np.concatenate([self._pre_history[which][-missing:], window])
+        window = window[:: self.stride]
         position = torch.from_numpy(np.ascontiguousarray(window.transpose(1, 0, 2)))
         return Data(position=position, num_nodes=len(position), **self.constant[which])
 

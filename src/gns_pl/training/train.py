@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
 from gns_pl.generation import generate_dataset
-from gns_pl.io import Manifest, manifest_sha256
+from gns_pl.io import manifest_sha256
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.simulator import SimulatorConfig
 from gns_pl.training.close import close_run, run_files
@@ -149,6 +149,7 @@ def build_data(directory: Path, training: TrainingConfig, length: int, seed: int
         num_steps=training.optimisation.num_steps,
         input_sequence_length=length,
         num_targets=training.optimisation.unroll_steps,
+        stride=training.stride,
         start_repeats=training.start_repeats,
         num_workers=training.num_workers,
         memory_limit=training.memory_limit,
@@ -172,7 +173,7 @@ def build_module(
     manifest = datamodule.manifest
     of_data: dict[str, Any] = {
         "dim": manifest.dim,
-        "dt": manifest.dt,
+        "dt": manifest.dt * training.stride,
         "spacing": manifest.spacing,
         "particle_types": list(manifest.particle_types),
         "material_features": choose_features(settings["model"]["material_features"], manifest.material_features),
@@ -185,31 +186,35 @@ def build_module(
         seed=settings["seed"],
         provenance=provenance(settings, datamodule.directory),
     )
-    scales = statistics(manifest, settings["data"]["gravity"], training.perturbation.noise_std)
+    if training.stride == 1:
+        moments = manifest.statistics
+    else:
+        moments = {name: seen.to_dict() for name, seen in datamodule.statistics().items()}
+    scales = statistics(moments, of_data["dt"], settings["data"]["gravity"], training.perturbation.noise_std)
     module.simulator.set_statistics(**scales, material=material_scale(datamodule, len(of_data["material_features"])))
     return module
 
 
-def statistics(manifest: Manifest, gravity: float, noise_std: float) -> dict[str, float]:
+def statistics(moments: Mapping[str, Any], dt: float, gravity: float, noise_std: float) -> dict[str, float]:
     """Return root mean squares over all components, random-walk noise included.
 
     Args:
-        manifest: with mean and standard deviation of velocity and acceleration.
+        moments: mean and standard deviation of velocity and acceleration, per component.
+        dt: time of one step [s].
         gravity: magnitude, along the last axis [m/s²].
         noise_std: of the latest velocity's noise times Δt [m].
 
     Returns:
         "velocity" [m/s] and "acceleration" (of a − g) [m/s²].
     """
-    values = manifest.statistics
-    velocity = [m**2 + s**2 for m, s in zip(values["velocity"]["mean"], values["velocity"]["std"], strict=True)]
-    mean = list(values["acceleration"]["mean"])
+    velocity = [m**2 + s**2 for m, s in zip(moments["velocity"]["mean"], moments["velocity"]["std"], strict=True)]
+    mean = list(moments["acceleration"]["mean"])
     mean[-1] += gravity
-    acceleration = [m**2 + s**2 for m, s in zip(mean, values["acceleration"]["std"], strict=True)]
-    noise = noise_std / manifest.dt
+    acceleration = [m**2 + s**2 for m, s in zip(mean, moments["acceleration"]["std"], strict=True)]
+    noise = noise_std / dt
     return {
         "velocity": math.sqrt(sum(velocity) / len(velocity) + noise**2),
-        "acceleration": math.sqrt(sum(acceleration) / len(acceleration) + (noise / manifest.dt) ** 2),
+        "acceleration": math.sqrt(sum(acceleration) / len(acceleration) + (noise / dt) ** 2),
     }
 
 
