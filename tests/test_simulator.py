@@ -10,7 +10,7 @@ from gns_pl.errors import InputError
 from gns_pl.graph import Static
 from gns_pl.rollout import rollout, static_of
 from gns_pl.scene import Scene
-from gns_pl.simulator import Simulator, SimulatorConfig
+from gns_pl.simulator import OUTPUTS, Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, ballistic_history
 from tests.conftest import make_config, make_moving, make_simulator, make_start, make_static
 
@@ -42,12 +42,12 @@ def test_true_accelerations_reproduce_the_trajectory(drop: Scene) -> None:
 
 
 def test_free_fall_is_exact_if_the_network_is_silent(drop: Scene) -> None:
-    for output in ("acceleration", "gated"):
+    for output in OUTPUTS:
         simulator = make_simulator(output=output)
         last = simulator.network.decoder[-1]
         torch.nn.init.zeros_(last.weight)
         torch.nn.init.zeros_(last.bias)
-        if output == "gated":
+        if output != "acceleration":
             last.bias.data[3:] = 100.0  # gate wide open
         start = make_start(drop)
         predicted = rollout(simulator, start, 10)
@@ -58,7 +58,7 @@ def test_free_fall_is_exact_if_the_network_is_silent(drop: Scene) -> None:
         np.testing.assert_allclose(predicted.position, expected, atol=5e-6)
 
 
-@pytest.mark.parametrize("output", ["acceleration", "gated"])
+@pytest.mark.parametrize("output", OUTPUTS)
 def test_a_particle_without_contact_falls_freely_whatever_the_weights(output: str) -> None:
     simulator, static = make_simulator(output=output), make_static(3)
     end = torch.tensor([[0.5, 0.5, 0.5], [0.3, 0.3, 0.8], [0.3, 0.3, 0.05]])  # alone, alone, at the floor
@@ -68,17 +68,19 @@ def test_a_particle_without_contact_falls_freely_whatever_the_weights(output: st
     assert moved[:2].abs().max() < 1e-4 < moved[2].abs().max()
 
 
-def test_closed_gate_brings_everything_to_rest(drop: Scene) -> None:
-    simulator = make_simulator(output="gated")
+@pytest.mark.parametrize(("output", "increment"), [("gated", 0.0), ("held", 0.0), ("held", 3.0)])
+def test_closed_gate_brings_everything_to_rest(drop: Scene, output: str, increment: float) -> None:
+    """A held simulator even where its increments are wrong."""
+    simulator = make_simulator(output=output)
     last = simulator.network.decoder[-1]
     torch.nn.init.zeros_(last.weight)
-    torch.nn.init.zeros_(last.bias)
+    torch.nn.init.constant_(last.bias, increment)
     last.bias.data[3:] = -100.0
     predicted = rollout(simulator, make_start(drop), 5)
     np.testing.assert_allclose(predicted.position[1:], predicted.position[:1].repeat(5, axis=0), atol=1e-6)
 
 
-@pytest.mark.parametrize("output", ["acceleration", "gated"])
+@pytest.mark.parametrize("output", OUTPUTS)
 def test_target_and_integration_are_inverse(output: str) -> None:
     simulator, static = make_simulator(output=output), make_static(20)
     history = torch.rand(20, 4, 3) * 0.01 + 0.2 + 0.6 * torch.rand(20, 1, 3)

@@ -18,7 +18,7 @@ from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
 from gns_pl.nn import EncodeProcessDecode
 
-OUTPUTS = ("acceleration", "gated")
+OUTPUTS = ("acceleration", "gated", "held")
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class SimulatorConfig:
         num_message_passing_steps: number of interaction networks.
         output: "acceleration": the network gives (a − g) / scale. "gated": it gives a gate s in (0, 1) per axis and an
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
+            "held": v' = s (v + g Δt + u), so that s = 0 alone is rest, whatever u is.
         context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
 
@@ -123,7 +124,7 @@ class Simulator(nn.Module):
                 context=config.context,
             ),
             edge_width=edge_width(config.dim),
-            output_width=config.dim * (2 if config.output == "gated" else 1),
+            output_width=config.dim * (1 if config.output == "acceleration" else 2),
             latent_size=config.latent_size,
             num_mlp_layers=config.num_mlp_layers,
             num_message_passing_steps=config.num_message_passing_steps,
@@ -179,9 +180,11 @@ class Simulator(nn.Module):
         )
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = self.network(node, edge, edge_index)
-        if config.output == "gated":
+        if config.output != "acceleration":
             increment, gate = output.chunk(2, dim=1)
             falling = velocity[:, -1] / config.dt + static.gravity[static.batch]  # (v + g Δt) / Δt
+            if config.output == "held":
+                increment = torch.sigmoid(gate) * increment
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
         return torch.where(self._in_contact(position, edge_index, static)[:, None], output, 0.0)
 
