@@ -3,12 +3,14 @@
 Plain tensors in, plain tensors out; no learned parameter and no file lives here.
 """
 
+from gns_pl.graph.draws import Draws
 from gns_pl.graph.features import Static, edge_features, edge_width, node_features, node_width
 from gns_pl.graph.neighbours import BACKENDS, radius_graph
 from gns_pl.graph.noise import coherent_noise, random_walk_noise
 
 __all__ = [
     "BACKENDS",
+    "Draws",
     "Static",
     "coherent_noise",
     "edge_features",
