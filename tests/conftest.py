@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gns_pl.graph import Static
+from gns_pl.graph import Draws, Static
 from gns_pl.scene import Material, Scene, Wall, column_collapse, cube_drop, fill_scene
 from gns_pl.scene.definition import FACES
 from gns_pl.simulator import Simulator, SimulatorConfig
@@ -86,6 +86,11 @@ def make_static(number: int, *, graphs: int = 1, gravity: tuple[float, ...] = (0
         gravity=torch.tensor([gravity] * graphs),
         batch=torch.arange(graphs).repeat_interleave(number),
     )
+
+
+def make_draws(static: Static, seed: int = 0) -> Draws:
+    """Random numbers of the windows 0, 1, … for the scenes of `make_static`."""
+    return Draws(seed, torch.arange(static.num_graphs), static.batch)
 
 
 def make_start(scene: Scene, spacing: float = 0.05, dt: float = 0.01) -> Trajectory:

@@ -53,7 +53,7 @@ def make_config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
     with open_dict(cfg):
         cfg.data.families = FAMILIES
         cfg.callbacks.last.directory = str(output)
-        cfg.callbacks.best.dirpath = str(output)
+        cfg.callbacks.best.directory = str(output)
         cfg.logger.csv.save_dir = str(output)
     assert OmegaConf.missing_keys(cfg) == set()
     return cfg

@@ -126,7 +126,7 @@ def test_a_checkpoint_that_cannot_be_resumed(data_root: Path, tmp_path: Path) ->
         ("+training.noise_sdt=1", "unknown key noise_sdt"),
         ("training.optimisation.huber_delta=-1", "huber_delta"),
         ("model.output=magic", "output must be one of"),
-        ("trainer.devices=2", "one device"),
+        ("trainer.devices=3", "cannot be shared by 3 processes"),
     ],
 )
 def test_bad_settings_are_refused_before_anything_is_generated(tmp_path: Path, change: str, sentence: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +20,29 @@ from gns_pl.io import read_manifest, read_trajectory
 from gns_pl.trajectory import Trajectory
 
 
-class TrajectoryDataset(Dataset[Trajectory]):
+class TrajectoryDataset(Dataset[Trajectory | None]):
     """Whole trajectories, read when asked for.
 
     Args:
-        paths: trajectory files.
+        paths: trajectory files; None stands for a slot that is left empty.
         stride: frames of the files in a step.
     """
 
-    def __init__(self, paths: list[Path], stride: int) -> None:
+    def __init__(self, paths: list[Path | None], stride: int) -> None:
         self.paths = paths
         self.stride = stride
 
     def __len__(self) -> int:
         return len(self.paths)
 
-    def __getitem__(self, index: int) -> Trajectory:
-        return read_trajectory(self.paths[index]).every(self.stride)
+    def __getitem__(self, index: int) -> Trajectory | None:
+        path = self.paths[index]
+        return None if path is None else read_trajectory(path).every(self.stride)
+
+
+def _ignore_interrupts(worker: int) -> None:
+    """Leave Ctrl-C, which a terminal sends to loader processes too, to the process that trains."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class TrajectoryDataModule(LightningDataModule):
@@ -43,7 +50,7 @@ class TrajectoryDataModule(LightningDataModule):
 
     Args:
         directory: folder with a manifest.
-        batch_size: windows per step.
+        batch_size: windows per step, of all processes together.
         num_steps: training steps in all.
         input_sequence_length: H.
         num_targets: frames behind the history in every window.
@@ -103,20 +110,17 @@ class TrajectoryDataModule(LightningDataModule):
                 start_repeats=self.start_repeats,
                 in_memory=self.in_memory,
             )
-        self.valid_set = TrajectoryDataset(
-            [self.directory / name for name in self.manifest.splits["valid"]], self.stride
-        )
 
-    def train_dataloader(self) -> DataLoader:
-        """Return the batches of all steps still to make."""
-        sampler = StepSampler(
+    def _sampler(self, *, rank: int = 0, num_ranks: int = 1) -> StepSampler:
+        return StepSampler(
             num_windows=len(self.train_set),
             batch_size=self.batch_size,
             num_steps=self.num_steps,
             seed=self.seed,
             first_step=self._steps_made,
+            rank=rank,
+            num_ranks=num_ranks,
         )
-        return DataLoader(self.train_set, batch_sampler=sampler, num_workers=self.num_workers)
 
     def statistics(self) -> dict[str, RunningStatistics]:
         """Return the velocity's and the acceleration's over the training trajectories, at the step's stride.
@@ -131,15 +135,37 @@ class TrajectoryDataModule(LightningDataModule):
             acceleration.update(trajectory.acceleration().reshape(-1, dim))
         return {"velocity": velocity, "acceleration": acceleration}
 
-    def val_dataloader(self) -> TorchDataLoader[Trajectory]:
-        """Return the validation trajectories one by one, to be rolled out."""
-        return TorchDataLoader(self.valid_set, batch_size=None)
+    def train_dataloader(self) -> DataLoader:
+        """Return this process's share of the batches of all steps still to make."""
+        sampler = self._sampler(rank=self.trainer.global_rank, num_ranks=self.trainer.world_size)
+        return DataLoader(
+            self.train_set, batch_sampler=sampler, num_workers=self.num_workers, worker_init_fn=_ignore_interrupts
+        )
+
+    def val_dataloader(self) -> TorchDataLoader[Trajectory | None]:
+        """Return this process's share of the validation trajectories one by one, to be rolled out.
+
+        Rank r of R has r, r + R, …; those that would have one less than others have an empty slot in its place.
+        """
+        rank, ranks = self.trainer.global_rank, self.trainer.world_size
+        paths: list[Path | None] = [self.directory / name for name in self.manifest.splits["valid"]]
+        paths += [None] * (-len(paths) % ranks)
+        return TorchDataLoader(TrajectoryDataset(paths[rank::ranks], self.stride), batch_size=None)
+
+    def windows_of_step(self, step: int) -> list[dict[str, Any]]:
+        """Return every window of a step's joined batch, those of all processes, as plain values and tensors."""
+        windows = []
+        for index, number in self._sampler().joined_batch(step):
+            which, frame = self.train_set.index[index]
+            tensors = self.train_set[index, number].to_dict()
+            windows.append({**tensors, "number": number, "trajectory": self.train_names[which], "frame": frame})
+        return windows
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
         """Move windows; trajectories stay NumPy."""
-        return (
-            batch if isinstance(batch, Trajectory) else super().transfer_batch_to_device(batch, device, dataloader_idx)
-        )
+        if batch is None or isinstance(batch, Trajectory):
+            return batch
+        return super().transfer_batch_to_device(batch, device, dataloader_idx)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the number of steps made."""

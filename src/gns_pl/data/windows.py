@@ -16,6 +16,7 @@ from torch.utils.data import Dataset
 from torch_geometric.data import Data
 
 from gns_pl.errors import InputError
+from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_trajectory, read_window
 from gns_pl.trajectory import Trajectory, ballistic_history
 
@@ -78,8 +79,13 @@ class WindowDataset(Dataset[Data]):
     def __len__(self) -> int:
         return len(self.index)
 
-    def __getitem__(self, index: int) -> Data:
-        """Return a PyG `Data`: `position` [N, H + U, D] and the fields of `graph.Static` for one scene."""
+    def __getitem__(self, drawn: int | tuple[int, int]) -> Data:
+        """Return a PyG `Data`: `position` [N, H + U, D], the fields of `graph.Static` for one scene, and `number` [1].
+
+        Args:
+            drawn: index of the window, and the number it has in a training (`StepSampler`); without one, that is 0.
+        """
+        index, number = (drawn, 0) if isinstance(drawn, int) else drawn
         which, frame = self.index[index]
         first = max(0, frame - self.before)
         stored = self._position[which]
@@ -90,7 +96,12 @@ class WindowDataset(Dataset[Data]):
             window = np.concatenate([self._pre_history[which][-missing:], window])
         window = window[:: self.stride]
         position = torch.from_numpy(np.ascontiguousarray(window.transpose(1, 0, 2)))
-        return Data(position=position, num_nodes=len(position), **self.constant[which])
+        return Data(position=position, number=torch.tensor([number]), num_nodes=len(position), **self.constant[which])
+
+    def mean_moved_particles(self) -> float:
+        """Return how many particles that a simulator moves a window has in the mean."""
+        moved = [int((c["particle_type"] != int(ParticleType.KINEMATIC)).sum()) for c in self.constant]
+        return sum(moved[which] for which, _ in self.index) / len(self.index)
 
 
 def _constant(trajectory: Trajectory) -> dict[str, torch.Tensor]:

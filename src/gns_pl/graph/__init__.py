@@ -3,6 +3,7 @@
 Plain tensors in, plain tensors out; no learned parameter and no file lives here.
 """
 
+from gns_pl.graph.draws import Draws
 from gns_pl.graph.features import Static, edge_features, edge_width, node_features, node_width
 from gns_pl.graph.neighbours import BACKENDS, NUMBA, radius_graph
 from gns_pl.graph.noise import coherent_noise, random_walk_noise
@@ -10,6 +11,7 @@ from gns_pl.graph.noise import coherent_noise, random_walk_noise
 __all__ = [
     "BACKENDS",
     "NUMBA",
+    "Draws",
     "Static",
     "coherent_noise",
     "edge_features",

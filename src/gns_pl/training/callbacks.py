@@ -1,31 +1,118 @@
-"""What happens beside the training steps."""
+"""What ends a run early without losing anything: a signal, or a loss that is not finite."""
 
 from __future__ import annotations
 
+import io
+import signal
+import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 
-from gns_pl.io import atomic_path
+from gns_pl.errors import InputError
+from gns_pl.io.atomic import write_atomically
+from gns_pl.training.checkpoints import LAST
 
 
-class LastCheckpoint(Callback):
-    """Keeps `last.ckpt` of a run: every so many steps and after the last one. It must stand behind the averaging.
+class StopAtSignal(Callback):
+    """Ends the training behind the step that is being made, once it is saved, at Ctrl-C or SIGTERM.
 
-    Args:
-        directory: folder of the run.
-        every_n_steps: steps that a killed run loses at most.
+    A second Ctrl-C ends it at once. Of several processes it is enough if one is told; all end behind the same step.
+
+    Attributes:
+        received: the signal, once there was one.
     """
 
-    def __init__(self, directory: str, every_n_steps: int) -> None:
-        self.path = Path(directory) / "last.ckpt"
-        self.every_n_steps = every_n_steps
+    def __init__(self) -> None:
+        self.received: signal.Signals | None = None
+        self._before: dict[signal.Signals, Any] = {}
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Take the signals over, from Lightning too, whose way of telling other processes can hang."""
+        if threading.current_thread() is threading.main_thread():
+            wanted = (signal.SIGINT, signal.SIGTERM) if trainer.is_global_zero else (signal.SIGTERM,)
+            self._before = {number: signal.signal(number, self._note) for number in wanted}
+
+    def _note(self, number: int, frame: Any) -> None:
+        if self.received is not None and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        self.received = signal.Signals(number)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Save, whole or not at all: a kill leaves the one before."""
-        if trainer.global_step % self.every_n_steps == 0 or trainer.global_step == trainer.max_steps:
-            with atomic_path(self.path) as temporary:
-                trainer.save_checkpoint(temporary)
+        """Stop if any process was told to."""
+        told = trainer.strategy.reduce_boolean_decision(self.received is not None, all=False)
+        if told and self.received is None:
+            self.received = signal.SIGTERM
+        if told:
+            trainer.should_stop = True
+
+    def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Give the signals back."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before = {}
+
+
+class StopAtNonFinite(Callback):
+    """Ends the training at a loss or at weights that are not finite, before they reach a checkpoint.
+
+    On a CPU every step is looked at. Elsewhere that would make the host wait for the device, so the step of the first
+    such loss is noted there and looked up whenever something is logged or saved.
+
+    Args:
+        directory: folder of the run, for the windows that the step was made of.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self._first: torch.Tensor | None = None
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Note that no step was bad so far."""
+        self._first = torch.tensor(-1, device=pl_module.device)
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Note the first bad step."""
+        assert self._first is not None
+        bad = ~outputs["joined"].isfinite() & (self._first < 0)
+        self._first = torch.where(bad, trainer.global_step - 1, self._first)
+        if self._first.device.type == "cpu" or trainer.global_step % cast(Any, trainer).log_every_n_steps == 0:
+            self._look(trainer)
+
+    def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        """Keep everything that is not finite from being saved."""
+        self._look(trainer)
+        if not bool(torch.stack([weight.isfinite().all() for weight in pl_module.parameters()]).all()):
+            self._stop(trainer, trainer.global_step - 1, "the weights are")
+
+    def _look(self, trainer: Trainer) -> None:
+        first = -1 if self._first is None else int(self._first)
+        if first >= 0:
+            self._stop(trainer, first, "the loss is")
+
+    def _stop(self, trainer: Trainer, step: int, what: str) -> None:
+        """Save what the step was made of and end the training.
+
+        Raises:
+            InputError: always.
+        """
+        path = self.directory / f"not_finite_step{step:07d}.pt"
+        if trainer.is_global_zero:
+            # A loss that is not finite may come of weights that the step before has spoilt.
+            datamodule = cast(Any, trainer).datamodule
+            windows = {made: datamodule.windows_of_step(made) for made in range(max(0, step - 1), step + 1)}
+            buffer = io.BytesIO()
+            torch.save({"step": step, "seed": datamodule.seed, "windows": windows}, buffer)
+            write_atomically(path, buffer.getbuffer())
+        last = self.directory / LAST
+        kept = f"; {last} is from before" if last.is_file() else ""
+        raise InputError(
+            f"{what} not finite in step {step}{kept}; the windows of this step and the one before are in {path}: "
+            "look at them, or lower training.optimisation.learning_rate."
+        )

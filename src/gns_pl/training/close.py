@@ -16,8 +16,9 @@ from gns_pl.evaluation.report import without_nan
 from gns_pl.io.atomic import write_atomically
 from gns_pl.training.clock import Clock
 from gns_pl.training.history import Floats, History, read_history
-from gns_pl.training.module import MONITORED, SimulatorModule
+from gns_pl.training.module import SimulatorModule
 from gns_pl.training.summary import FORMAT, FORMAT_VERSION, SUMMARY_FILE, headline, summary_lines
+from gns_pl.training.validation import MONITORED
 from gns_pl.viz import missing_packages, plot_learning_curve
 
 CURVE_FILE = "learning_curve.png"

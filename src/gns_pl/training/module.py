@@ -13,18 +13,15 @@ from torch.nn.functional import mse_loss, smooth_l1_loss
 from torch_geometric.data import Data
 
 from gns_pl.checkpoint import KEY, checkpoint_entry
-from gns_pl.errors import InputError
 from gns_pl.evaluation.metrics import rollout_errors
-from gns_pl.graph import Static
+from gns_pl.graph import Draws, Static
 from gns_pl.rollout import rollout
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.training.perturbation import Perturbation
 from gns_pl.training.symmetry import sample_symmetry
 from gns_pl.training.unroll import unrolled_loss
+from gns_pl.training.validation import MONITORED, STEP_SECONDS, ValidationTable
 from gns_pl.trajectory import Trajectory
-
-MONITORED = "position_error"
-"""The error of validation rollouts that the progress bar shows and the best checkpoint is chosen by."""
 
 
 def static_of_batch(batch: Data) -> Static:
@@ -56,6 +53,7 @@ class SimulatorModule(LightningModule):
         data: specification of the data, stored in the checkpoint.
         optimisation: `Optimisation` as a dict.
         perturbation: `Perturbation` as a dict.
+        particles_per_window: mean number of moved particles of a window of the training set.
         seed: of the noise.
         provenance: stored in the checkpoint.
     """
@@ -67,6 +65,7 @@ class SimulatorModule(LightningModule):
         data: dict[str, Any],
         optimisation: dict[str, Any],
         perturbation: dict[str, Any],
+        particles_per_window: float,
         seed: int,
         provenance: dict[str, Any],
     ) -> None:
@@ -76,38 +75,54 @@ class SimulatorModule(LightningModule):
         self.perturb = Perturbation(**perturbation)
         self.optimisation = optimisation
         self.data = data
+        self.particles_per_window = particles_per_window
         self.seed = seed
         self.provenance = provenance
         self._clock = (time.perf_counter(), 0)
         self._windows = 0
 
-    def training_step(self, batch: Data, batch_index: int) -> Tensor:
-        """Return the mean loss of the normalised acceleration over the moved particles.
+    def training_step(self, batch: Data, batch_index: int) -> dict[str, Tensor]:
+        """Return "loss", that of this process's windows, and "joined", that of all processes' windows."""
+        loss = self.loss(batch)
+        joined = self.trainer.strategy.reduce(loss.detach().clone(), reduce_op="mean")
+        self.log("loss", joined, prog_bar=True, batch_size=batch.num_graphs)
+        self._windows += batch.num_graphs * self.trainer.world_size
+        return {"loss": loss, "joined": cast(Tensor, joined)}
 
-        Few particles at an impact have accelerations of ten times the others' and most of the squared error; the
-        Huber loss (over delta: smooth L1) keeps the slow majority, which makes a collapse, in sight.
+    def loss(self, batch: Data) -> Tensor:
+        """Return the loss of a batch of windows [].
+
+        The loss of a particle is the mean over the components of its normalised acceleration. Few particles at an
+        impact have accelerations of ten times the others' and most of the squared error; the Huber loss (over delta:
+        smooth L1) keeps the slow majority, which makes a collapse, in sight.
+
+        The sum over the moved particles is divided by the number of windows times a constant, the mean number of
+        particles of a window, not by the number of particles that happen to be in the batch. So a step's loss is an
+        unbiased estimate of the loss of the whole set, in which every particle counts alike (a ratio of two sums of a
+        random batch would not be), and it is additive: the mean of the gradients of several processes with equally many
+        windows each is the gradient of the joined batch, whatever the windows' sizes.
         """
         static = static_of_batch(batch)
-        # The noise depends on the seed and the step alone: a resumed run draws what an uninterrupted one would.
-        generator = torch.Generator(device=self.device).manual_seed(self.seed * 1_000_003 + self.global_step)
+        # A window's noise depends on the seed and its number alone: resumed or spread over processes, it is the same.
+        draws = Draws(self.seed, batch.number, static.batch)
         length = self.simulator.config.input_sequence_length
         steps = self._unrolled(self.global_step)
         history, future = batch.position[:, :length], batch.position[:, length : length + steps]
         if self.optimisation["symmetry"]:
-            history, future, static = sample_symmetry(history, future, static, generator)
-        history, goal = self.perturb(history, future[:, 0], static, generator)
+            history, future, static = sample_symmetry(history, future, static, draws)
+        history, goal = self.perturb(history, future[:, 0], static, draws)
         moved, delta = static.moved, self.optimisation["huber_delta"]
+        parts = future.shape[2] * batch.num_graphs * self.particles_per_window
 
         def difference(predicted: Tensor, target: Tensor) -> Tensor:
             predicted, target = predicted[moved], target[moved]
-            return mse_loss(predicted, target) if delta is None else smooth_l1_loss(predicted, target, beta=delta)
+            if delta is None:
+                return mse_loss(predicted, target, reduction="sum") / parts
+            return smooth_l1_loss(predicted, target, beta=delta, reduction="sum") / parts
 
-        loss = unrolled_loss(
+        return unrolled_loss(
             self.simulator, history, goal, future, static, restore=self.perturb.restore, loss=difference
         )
-        self.log("loss", loss, prog_bar=True, batch_size=batch.num_graphs)
-        self._windows += batch.num_graphs
-        return loss
 
     def _unrolled(self, step: int) -> int:
         """Return how many steps in a row training step `step` makes."""
@@ -116,31 +131,31 @@ class SimulatorModule(LightningModule):
         return int(settings["unroll_steps"]) if late else 1
 
     def on_train_batch_end(self, outputs: Any, batch: Data, batch_index: int) -> None:
-        """Log the pace now and then, and stop at a loss that is not finite."""
+        """Log the pace now and then."""
         if self.global_step % cast(Any, self.trainer).log_every_n_steps == 0:
-            if not math.isfinite(float(outputs["loss"])):
-                raise InputError(
-                    f"the loss is {float(outputs['loss'])} after {self.global_step} steps; "
-                    "lower training.optimisation.learning_rate."
-                )
             now = time.perf_counter()
             before, windows = self._clock
             self.log("windows_per_s", (self._windows - windows) / (now - before), prog_bar=True, batch_size=1)
             self._clock = (now, self._windows)
 
-    def validation_step(self, reference: Trajectory, batch_index: int) -> dict[str, Any]:
-        """Roll a whole validation trajectory out from its first frame, log its errors, and return it for figures."""
+    def on_validation_epoch_start(self) -> None:
+        """Begin a new table of errors."""
+        self._validation = ValidationTable()
+
+    def validation_step(self, reference: Trajectory | None, batch_index: int) -> dict[str, Any] | None:
+        """Roll a whole validation trajectory out from its first frame, note its errors, and return it for figures."""
+        if reference is None:
+            self._validation.add(None)
+            return None
         predicted = rollout(self.simulator, reference, reference.num_frames - 1)
-        for name, value in rollout_errors(predicted, reference).items():
-            if math.isnan(value) and name != MONITORED:
-                continue  # not defined for this scene, or the rollout failed, which the monitored error shows
-            self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED)
         seconds = cast(float, predicted.provenance["wall_seconds"]) / max(1, predicted.num_frames - 1)
-        self.log("valid/rollout_step_seconds", seconds, batch_size=1)
+        self._validation.add({**rollout_errors(predicted, reference), STEP_SECONDS: seconds})
         return {"predicted": predicted}
 
     def on_validation_epoch_end(self) -> None:
-        """Leave the time of the rollouts out of the pace."""
+        """Log the means over all trajectories, and leave the time of the rollouts out of the pace."""
+        for name, value in self._validation.means(self.trainer.strategy).items():
+            self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED, sync_dist=True)
         self._clock = (time.perf_counter(), self._windows)
 
     def configure_optimizers(self) -> Any:
@@ -164,3 +179,7 @@ class SimulatorModule(LightningModule):
         """Add what `gns_pl.checkpoint` reads."""
         provenance = {**self.provenance, "steps": self.global_step}
         checkpoint[KEY] = checkpoint_entry(self.simulator.config, self.data, provenance)
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Forget the time that earlier starts took: `trainer.max_time` is that of each start."""
+        checkpoint["callbacks"].pop("Timer", None)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, coherent_noise, random_walk_noise
+from gns_pl.graph import Draws, Static, coherent_noise, random_walk_noise
 
 
 @dataclass(frozen=True)
@@ -46,9 +45,7 @@ class Perturbation:
         if not self.strain_length > 0:
             raise InputError(f"training.strain_length must be positive, but is {self.strain_length}.")
 
-    def __call__(
-        self, history: Tensor, next_position: Tensor, static: Static, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
+    def __call__(self, history: Tensor, next_position: Tensor, static: Static, draws: Draws) -> tuple[Tensor, Tensor]:
         """Return the perturbed history [N, H, D] and the next position its target leads to [N, D].
 
         With the noise n of the latest position, the target leads to x_{t+1} + (1 − κ) n. Kinematic particles stay.
@@ -57,23 +54,15 @@ class Perturbation:
             history: [N, H, D] [m].
             next_position: [N, D] [m].
             static: the scenes.
-            generator: source of randomness, on the device of the positions.
+            draws: the windows' random numbers.
         """
-        graphs = static.num_graphs
-        draw = torch.rand(graphs, generator=generator, device=history.device)
-        noisy = (draw >= self.noise_free)[static.batch] & static.moved
-        level = noisy.to(history.dtype)[:, None, None]
-        noise = random_walk_noise(history, self.noise_std * level, generator)
+        dtype = history.dtype
+        noisy = draws.uniform("noise free", dtype=dtype) >= self.noise_free
+        level = (noisy[static.batch] & static.moved).to(dtype)[:, None, None]
+        noise = random_walk_noise(history, self.noise_std * level, draws)
         if self.strain_std:
-            moved = coherent_noise(
-                history[:, -1],
-                static.batch,
-                graphs,
-                strain_std=self.strain_std,
-                length=self.strain_length,
-                generator=generator,
-            )
+            moved = coherent_noise(history[:, -1], draws, strain_std=self.strain_std, length=self.strain_length)
             # Every scene at a level of its own, so that small and large errors are both seen.
-            share = torch.rand(graphs, generator=generator, device=history.device)[static.batch]
+            share = draws.uniform("coherent level", dtype=dtype)[static.batch]
             noise = noise + level * (share[:, None] * moved)[:, None, :]
         return history + noise, next_position + (1 - self.restore) * noise[:, -1]

@@ -1,8 +1,11 @@
-"""Going on with a run: find its checkpoint, and refuse one made with other settings."""
+"""Going on with a run: be alone in its folder, find its checkpoint, and refuse one made with other settings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import fcntl
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +42,12 @@ def steps_made(path: Path, settings: Mapping[str, Any]) -> int:
         settings: the resolved config of the run that would go on.
 
     Raises:
-        InputError: not a checkpoint of ours, one without trainer state, or one made with other settings.
+        InputError: not a checkpoint of ours, one without trainer state, or one made with other settings. If it is
+            damaged, the newest good one beside it is named.
     """
-    from gns_pl.checkpoint import KEY, read_content
+    from gns_pl.checkpoint import KEY
 
-    content = read_content(path)
+    content = _read(path)
     if "optimizer_states" not in content:
         raise InputError(f"{path} holds no state of a training, so it cannot be resumed.")
     saved, now = (_flat(config) for config in (content[KEY]["provenance"]["config"], settings))
@@ -55,6 +59,69 @@ def steps_made(path: Path, settings: Mapping[str, Any]) -> int:
                 "set it back, or train anew in another folder (hydra.run.dir=…)."
             )
     return int(content["global_step"])
+
+
+def go_on(output: Path) -> str:
+    """Return what to add to the command that began a run in order to go on with it."""
+    return f"resume={output / 'last.ckpt'} hydra.run.dir={output}"
+
+
+@contextmanager
+def alone_in(output: Path) -> Iterator[None]:
+    """Claim the folder of a run for this process, and clear away what killed ones left half-written.
+
+    Raises:
+        InputError: another process is training there.
+        StorageError: the disk refuses.
+    """
+    from gns_pl.io import StorageError, remove_temporary_files
+
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(output / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise StorageError(f"{output}: cannot be written ({error.strerror}).") from error
+    try:
+        try:
+            # Not flock: loader processes would inherit that, and keep it a while after a `kill -9`.
+            fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError) as error:
+            raise InputError(
+                f"another train.py is at work in {output}; wait for it, or train in another folder (hydra.run.dir=…)."
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+        else:
+            remove_temporary_files(output, "*.ckpt")
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return what a checkpoint holds.
+
+    Raises:
+        InputError: it cannot be read; the newest good one beside it is named.
+    """
+    from gns_pl.checkpoint import read_content
+    from gns_pl.training.checkpoints import BEST, newest_first
+
+    try:
+        return read_content(path)
+    except InputError as error:
+        for other in (*newest_first(path.parent), path.parent / BEST):
+            try:
+                steps = read_content(other)["global_step"]
+            except (InputError, KeyError):
+                continue
+            raise InputError(
+                f"{str(error).rstrip('.')}; {other} is good and has made {steps} steps: to go on from there, add "
+                f"resume={other} hydra.run.dir={path.parent}"
+            ) from error
+        raise InputError(
+            f"{str(error).rstrip('.')}, and there is no good one beside it; resume=null trains anew."
+        ) from error
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -32,11 +32,13 @@ class RolloutFigure(Callback):
         trainer: Trainer,
         pl_module: LightningModule,
         outputs: Any,
-        batch: Trajectory,
+        batch: Trajectory | None,
         batch_idx: int,
         dataloader_idx: int = 0,
     ) -> None:
         """Keep the rollout and its reference if it is the farthest so far."""
+        if batch is None:  # an empty slot of this process
+            return
         advance = float(np.diff(np.percentile(batch.position[[0, -1], :, 0], 99, axis=1))[0])
         advance /= initial_extent(batch.scene)[0]
         if advance > self._farthest:

@@ -7,11 +7,11 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from gns_pl.graph import Static
+from gns_pl.graph import Draws, Static
 
 
 def sample_symmetry(
-    history: Tensor, next_position: Tensor, static: Static, generator: torch.Generator
+    history: Tensor, next_position: Tensor, static: Static, draws: Draws
 ) -> tuple[Tensor, Tensor, Static]:
     """Mirror every scene at the middle planes of its box at random, and exchange x and y at random (D = 3).
 
@@ -21,13 +21,13 @@ def sample_symmetry(
         history: [N, H, D] [m].
         next_position: [N, D] [m].
         static: the scenes.
-        generator: source of randomness, on the device of the positions.
+        draws: the windows' random numbers.
 
     Returns:
         History, next position and scenes after the same random symmetry, one per scene.
     """
     graphs, dim = static.lower.shape
-    draw = torch.rand((graphs, 3), generator=generator, device=history.device) < 0.5
+    draw = draws.uniform("symmetry", 3, dtype=history.dtype) < 0.5
     mirrored = torch.zeros((graphs, dim), dtype=torch.bool, device=history.device)
     mirrored[:, : dim - 1] = draw[:, : dim - 1]
     both_corners = static.lower + static.upper

@@ -8,14 +8,17 @@ import os
 import subprocess
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import torch
+from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from lightning.pytorch import Trainer, seed_everything
 from lightning.pytorch.loggers import Logger
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
@@ -24,10 +27,13 @@ from gns_pl.generation import generate_dataset
 from gns_pl.io import manifest_sha256
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.simulator import SimulatorConfig
+from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
+from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
 from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
+from gns_pl.training.devices import check_devices, is_rank_zero, together
 from gns_pl.training.module import SimulatorModule
-from gns_pl.training.resume import steps_made
+from gns_pl.training.resume import alone_in, go_on, steps_made
 
 PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
 
@@ -52,53 +58,91 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     training = TrainingConfig.from_dict(settings["training"])
     check_model(settings["model"])
-    if cfg.trainer.devices not in (1, "1", "auto"):
-        raise InputError(f"trainer.devices={cfg.trainer.devices}: training runs on one device so far; set it to 1.")
     steps = training.optimisation.num_steps
     if resume is not None and steps_made(resume, settings) >= steps:
         print(f"{resume} has made its {steps} steps already; nothing is left to train.")
         return resume
-    seed_everything(settings["seed"], workers=True, verbose=False)
-    directory = generate_dataset(settings["data"], device="auto")
-    datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
-    module = build_module(settings, training, datamodule)
-    last = output / "last.ckpt"
-    loggers = [instantiate(logger) for logger in cfg.logger.values() if OmegaConf.is_config(logger)]
-    trainer: Trainer = instantiate(
-        cfg.trainer,
-        callbacks=[instantiate(callback) for callback in cfg.callbacks.values()],
-        logger=loggers,
-        val_check_interval=min(cfg.trainer.val_check_interval, steps),
-    )
+    stop = StopAtSignal()
+    trainer = build_trainer(cfg, output, steps, stop)
+    check_devices(trainer, training.batch_size)
+    with together(trainer), alone_in(output) if is_rank_zero() else nullcontext():
+        seed_everything(settings["seed"], workers=True, verbose=False)
+        directory = generate_dataset(settings["data"], device="auto", progress=is_rank_zero())
+        datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
+        module = build_module(settings, training, datamodule)
+        try:
+            if is_rank_zero():
+                announce(settings, trainer, module, datamodule, output)
+                log_settings(trainer.loggers, settings)
+            trainer.fit(module, datamodule=datamodule, ckpt_path=resume, weights_only=True)
+            if stop.received is not None and trainer.global_step < steps:
+                raise SystemExit  # as Lightning does after a second Ctrl-C
+        except SystemExit:
+            hint = f"; to go on, add {go_on(output)}" if (output / LAST).is_file() else ""
+            raise SystemExit(f"train.py: stopped after {trainer.global_step} steps{hint}") from None
+        finally:
+            try:
+                close_run(output, trainer, module, datamodule)
+            finally:
+                if "wandb" in settings["logger"] and is_rank_zero():
+                    import wandb
+
+                    wandb.finish()  # or the jobs of a sweep would merge into one run
+        if not is_rank_zero():
+            raise SystemExit(0)  # the rest is done once
+    if trainer.global_step < steps:
+        print(f"Stopped after {trainer.global_step} of {steps} steps; to go on, add {go_on(output)}")
+    results = (output / LAST, output / BEST, *run_files(output), *sorted(output.glob("csv/*/metrics.csv")))
+    made = [*results, *sorted(output.glob("wandb/*run-*"))]
+    print("Made:", *(path for path in made if path.exists()), sep="\n  ")
+    return output / LAST
+
+
+def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal) -> Trainer:
+    """Return the trainer with its loggers and callbacks; nothing is started yet.
+
+    Args:
+        cfg: the config of conf/train.yaml.
+        output: folder of this run.
+        steps: training steps in all.
+        stop: ends the training at a signal.
+
+    Raises:
+        InputError: settings that Lightning refuses, such as more devices than there are.
+    """
+    try:
+        configured = [instantiate(callback) for callback in cfg.callbacks.values()]
+        trainer: Trainer = instantiate(
+            cfg.trainer,
+            callbacks=[*configured, stop, StopAtNonFinite(output)],
+            logger=[instantiate(logger) for logger in cfg.logger.values() if OmegaConf.is_config(logger)],
+            plugins=[AtomicCheckpointIO()],
+            use_distributed_sampler=False,  # the data module shares windows and trajectories itself
+            val_check_interval=min(cfg.trainer.val_check_interval, steps),
+        )
+    except InstantiationException as error:
+        if isinstance(error.__cause__, MisconfigurationException | InputError):
+            raise InputError(str(error.__cause__)) from error
+        raise
+    return trainer
+
+
+def announce(
+    settings: Mapping[str, Any],
+    trainer: Trainer,
+    module: SimulatorModule,
+    datamodule: TrajectoryDataModule,
+    output: Path,
+) -> None:
+    """Print what is about to be trained on what, and where."""
+    processes = trainer.num_nodes * trainer.num_devices
+    where = f"{trainer.strategy.root_device}" + (f" and {processes - 1} more" if processes > 1 else "")
     print(
         f"{settings['name']}: {len(datamodule.train_set)} windows of {len(datamodule.train_names)} trajectories, "
-        f"{sum(p.numel() for p in module.parameters())} parameters, {steps} steps on {trainer.strategy.root_device}, "
+        f"{sum(p.numel() for p in module.parameters())} parameters, {datamodule.num_steps} steps on {where}, "
         f"into {output}",
         flush=True,
     )
-    try:
-        log_settings(loggers, settings)
-        trainer.fit(module, datamodule=datamodule, ckpt_path=resume, weights_only=True)
-    except SystemExit:  # Lightning's way out after Ctrl-C
-        hint = f"; to go on, add resume={last} hydra.run.dir={output}" if last.is_file() else ""
-        raise SystemExit(f"train.py: stopped after {trainer.global_step} steps{hint}") from None
-    finally:
-        try:
-            close_run(output, trainer, module, datamodule)
-        finally:
-            if "wandb" in settings["logger"]:
-                import wandb
-
-                wandb.finish()  # or the jobs of a sweep would merge into one run
-    made = [
-        last,
-        output / "best.ckpt",
-        *run_files(output),
-        *sorted(output.glob("csv/*/metrics.csv")),
-        *sorted(output.glob("wandb/*run-*")),
-    ]
-    print("Made:", *(path for path in made if path.exists()), sep="\n  ")
-    return last
 
 
 def log_settings(loggers: Sequence[Logger], settings: dict[str, Any]) -> None:
@@ -183,6 +227,7 @@ def build_module(
         data=settings["data"],
         optimisation=vars(training.optimisation),
         perturbation=vars(training.perturbation),
+        particles_per_window=datamodule.train_set.mean_moved_particles(),
         seed=settings["seed"],
         provenance=provenance(settings, datamodule.directory),
     )

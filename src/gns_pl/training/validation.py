@@ -1,0 +1,55 @@
+"""The errors of validation rollouts, made on several processes, as if one had made them all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from lightning.pytorch.strategies import Strategy
+
+from gns_pl.evaluation.metrics import ERRORS, SUMMARY
+
+STEP_SECONDS = "rollout_step_seconds"
+"""Wall time of one step of a validation rollout [s]."""
+
+NAMES = (*(quantity.name for quantity in (*ERRORS, *SUMMARY)), STEP_SECONDS)
+
+MONITORED = "position_error"
+"""The error that the progress bar shows and the best checkpoint is chosen by. A rollout that fails makes it NaN; the
+others are averaged over the trajectories that they are defined for."""
+
+
+class ValidationTable:
+    """One row of errors per validation trajectory, filled in by the process that rolled it out.
+
+    Rank r of R rolls out the trajectories r, r + R, r + 2R, …; where there is none left, its slot stays empty, so that
+    every process takes part in everything that is done together.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[Mapping[str, float] | None] = []
+
+    def add(self, errors: Mapping[str, float] | None) -> None:
+        """Append the errors (`rollout_errors`) of this process's next trajectory; None for an empty slot."""
+        self._rows.append(errors)
+
+    def means(self, strategy: Strategy) -> dict[str, float]:
+        """Return the mean of every error that is defined for a trajectory at least, the same on every process.
+
+        Rows are put together before they are summed, so the means do not depend on the number of processes.
+
+        Args:
+            strategy: of the trainer; it knows the processes.
+        """
+        rank, ranks = strategy.global_rank, strategy.world_size
+        precision = torch.float32 if strategy.root_device.type == "mps" else torch.float64
+        table = torch.zeros((len(self._rows) * ranks, 2, len(NAMES)), dtype=precision)
+        for slot, errors in enumerate(self._rows):
+            for column, name in enumerate(NAMES if errors is not None else ()):
+                value = errors[name]
+                if name == MONITORED or not math.isnan(value):
+                    table[slot * ranks + rank, :, column] = torch.tensor([value, 1.0], dtype=precision)
+        joined = strategy.reduce(table.to(strategy.root_device), reduce_op="sum").cpu()
+        total, count = joined.sum(dim=0).tolist()
+        return {name: total[i] / count[i] for i, name in enumerate(NAMES) if count[i]}
