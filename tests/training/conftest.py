@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -57,3 +60,30 @@ def make_config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
         cfg.logger.csv.save_dir = str(output)
     assert OmegaConf.missing_keys(cfg) == set()
     return cfg
+
+
+def rows(output: Path) -> list[dict[str, str]]:
+    """Read the CSV log of a run's only start."""
+    with next((output / "csv").glob("*/metrics.csv")).open() as file:
+        return list(csv.DictReader(file))
+
+
+DIFFERENT = {"provenance", "Timer"}
+"""Entries of a checkpoint that two equal runs do not share: when and where they were made."""
+
+
+def assert_same(one: Any, two: Any, place: str = "") -> None:
+    """Compare two checkpoints to the last bit: weights, average, optimiser, schedule, loops, callbacks."""
+    if isinstance(one, dict):
+        keys = [set(each) - DIFFERENT for each in (one, two)]
+        assert keys[0] == keys[1], place
+        for key in keys[0]:
+            assert_same(one[key], two[key], f"{place}/{key}")
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(two), place
+        for index, pair in enumerate(zip(one, two, strict=True)):
+            assert_same(*pair, f"{place}/{index}")
+    elif isinstance(one, torch.Tensor):
+        assert torch.equal(one, two), place
+    else:
+        assert one == two, place

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 
@@ -17,12 +16,7 @@ from gns_pl.training.module import learning_rate_factor
 from gns_pl.training.resume import find_resume
 from gns_pl.training.train import statistics, train
 from tests.conftest import make_simulator
-from tests.training.conftest import make_config
-
-
-def rows(output: Path) -> list[dict[str, str]]:
-    with next((output / "csv").glob("*/metrics.csv")).open() as file:
-        return list(csv.DictReader(file))
+from tests.training.conftest import make_config, rows
 
 
 def weights(path: Path) -> dict[str, torch.Tensor]:

@@ -27,13 +27,16 @@ class StopAtSignal(Callback):
 
     def __init__(self) -> None:
         self.received: signal.Signals | None = None
-        self._before: dict[signal.Signals, Any] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Take the signals over, from Lightning too, whose way of telling other processes can hang."""
+        """Take the signals over, from Lightning too, whose way of telling other processes can hang.
+
+        Lightning gives all signals back at the end.
+        """
         if threading.current_thread() is threading.main_thread():
             wanted = (signal.SIGINT, signal.SIGTERM) if trainer.is_global_zero else (signal.SIGTERM,)
-            self._before = {number: signal.signal(number, self._note) for number in wanted}
+            for number in wanted:
+                signal.signal(number, self._note)
 
     def _note(self, number: int, frame: Any) -> None:
         if self.received is not None and number == signal.SIGINT:
@@ -49,12 +52,6 @@ class StopAtSignal(Callback):
             self.received = signal.SIGTERM
         if told:
             trainer.should_stop = True
-
-    def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Give the signals back."""
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-        self._before = {}
 
 
 class StopAtNonFinite(Callback):

@@ -272,7 +272,8 @@ def material_scale(datamodule: TrajectoryDataModule, number: int) -> torch.Tenso
 
 def quieten() -> None:
     """Keep Lightning's advertisements, and warnings that tell a user nothing, off the terminal."""
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for library in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(library).setLevel(logging.WARNING)
     known = ("exists and is not empty", "does not have many workers", "LeafSpec", "weights_only", "not resumable")
     for message in known:
         warnings.filterwarnings("ignore", f".*{message}")

@@ -1,0 +1,66 @@
+"""Validation errors gathered from several processes are those that one process would have found, to the last bit."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from gns_pl.training.validation import MONITORED, NAMES, ValidationTable
+
+
+def make_errors(number: int) -> list[dict[str, float]]:
+    generator = np.random.default_rng(number)
+    errors = [dict(zip(NAMES, generator.normal(size=len(NAMES)), strict=True)) for _ in range(number)]
+    errors[1]["runout_99_error"] = math.nan  # not defined for this scene
+    for each in errors:
+        each["profile_l1"] = math.nan  # for none
+    return errors
+
+
+def gathered(errors: list[dict[str, float]], ranks: int) -> list[dict[str, float]]:
+    """Means on every rank of so many, whose sums are made here."""
+    slots = math.ceil(len(errors) / ranks)
+    tables = []
+    for rank in range(ranks):
+        table = ValidationTable()
+        for slot in range(slots):
+            number = slot * ranks + rank
+            table.add(errors[number] if number < len(errors) else None)
+        tables.append(table)
+    parts: list[torch.Tensor] = []
+
+    def strategy(rank: int, total: torch.Tensor | None) -> SimpleNamespace:
+        def reduce(part: torch.Tensor, reduce_op: str) -> torch.Tensor:
+            assert reduce_op == "sum"
+            parts.append(part)
+            return part if total is None else total
+
+        return SimpleNamespace(
+            global_rank=rank, world_size=ranks, root_device=torch.device("cpu"), reduce=reduce
+        )
+
+    for rank, table in enumerate(tables):
+        table.means(strategy(rank, None))  # type: ignore[arg-type]
+    total = torch.stack(parts).sum(dim=0)
+    return [table.means(strategy(rank, total)) for rank, table in enumerate(tables)]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3, 4, 7])
+def test_means_do_not_depend_on_the_number_of_processes(ranks: int) -> None:
+    errors = make_errors(5)
+    (alone,) = gathered(errors, 1)
+    assert gathered(errors, ranks) == [alone] * ranks
+    assert "profile_l1" not in alone
+    assert alone["mse_1"] == pytest.approx(np.mean([each["mse_1"] for each in errors]))
+    assert alone["runout_99_error"] == pytest.approx(np.nanmean([each["runout_99_error"] for each in errors]))
+
+
+def test_a_failed_rollout_shows_in_the_monitored_error_alone() -> None:
+    errors = make_errors(3)
+    errors[2][MONITORED] = math.nan
+    (alone,) = gathered(errors, 1)
+    assert math.isnan(alone[MONITORED]) and not math.isnan(alone["mse_1"])
