@@ -17,6 +17,7 @@ from omegaconf import OmegaConf
 from gns_pl.data.survey import survey_dataset
 from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, draw_plan
+from gns_pl.graph import Draws
 from gns_pl.training.advice import advise
 from gns_pl.training.advice.faults import Suggestion
 from gns_pl.training.advice.numbers import Advice, compute_advice, target_noise
@@ -34,6 +35,7 @@ TRAINING: dict[str, Any] = {
     "num_workers": 0,
     "memory_limit": 1e9,
     "num_train": None,
+    "stride": 1,
     "start_repeats": 2,
     "noise_std": 2e-4,
     "noise_free": 0.4,
@@ -48,6 +50,8 @@ TRAINING: dict[str, Any] = {
         "warmup_steps": 0,
         "huber_delta": 0.3,
         "symmetry": True,
+        "unroll_steps": 1,
+        "unroll_from": 0.5,
     },
 }
 
@@ -97,7 +101,7 @@ def test_noise_of_the_target_is_that_of_the_perturbation(restore: float, strain:
     generator = torch.Generator().manual_seed(0)
     history = torch.rand((graphs * particles, length, dim), generator=generator)
     target = torch.zeros(len(history), dim)
-    moved_history, moved_target = perturbation(history, target, static, generator)
+    moved_history, moved_target = perturbation(history, target, static, Draws(0, torch.arange(graphs), static.batch))
     change = moved_history - history
     second = (moved_target - target) - 2 * change[:, -1] + change[:, -2]
     expected = sum(target_noise(perturbation, length))

@@ -80,7 +80,9 @@ def load(output: Path, rank: int) -> dict[str, Any]:
 
 def distance(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> float:
     """Largest difference of any weight, relative to the largest of its tensor."""
-    return max(float((value - two[name]).abs().max() / value.abs().max().clamp(min=1e-2)) for name, value in one.items())
+    return max(
+        float((value - two[name]).abs().max() / value.abs().max().clamp(min=1e-2)) for name, value in one.items()
+    )
 
 
 def test_two_processes_equal_one(tmp_path: Path) -> None:

@@ -39,9 +39,7 @@ def gathered(errors: list[dict[str, float]], ranks: int) -> list[dict[str, float
             parts.append(part)
             return part if total is None else total
 
-        return SimpleNamespace(
-            global_rank=rank, world_size=ranks, root_device=torch.device("cpu"), reduce=reduce
-        )
+        return SimpleNamespace(global_rank=rank, world_size=ranks, root_device=torch.device("cpu"), reduce=reduce)
 
     for rank, table in enumerate(tables):
         table.means(strategy(rank, None))  # type: ignore[arg-type]
