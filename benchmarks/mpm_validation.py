@@ -225,8 +225,9 @@ def energy_balance(scene: Scene, config: MPMConfig, tau: float, num_rows: int = 
     """Run a scene step by step and tell where its energy is and went, over that of the start.
 
     Kinetic energy of the points; potential energy; elastic energy stored, Σ V (s:s / 4G + p² / 2K); plastic
-    dissipation, the work of the stresses less what they store; dissipation by bulk viscosity; by walls, from their
-    impulses on the nodes; and what is left, lost in the transfers between points and grid.
+    dissipation, the work of the mean of the stresses before and after a step less what they store; dissipation by bulk
+    viscosity; by walls, from their impulses on the nodes; and what is left, lost in the transfers between points and
+    grid and in time (a step moves with the stresses before it, not with the mean).
 
     Args:
         scene: with its bodies.
@@ -289,9 +290,8 @@ def energy_balance(scene: Scene, config: MPMConfig, tau: float, num_rows: int = 
         # An impulse J works J · (v + v') / 2 on a node; together these are the change of its kinetic energy, exactly.
         halfway, held = grid[:, :3] - grid[:, 4:7] / 2, grid[:, 3] > 0
         of_walls = grid[:, 3:4] * (grid[:, 4:7] - dt * np.array(gravity)) - impulse
-        work = float((impulse * halfway)[held].sum())
         walls -= float((of_walls * halfway)[held].sum())
-        mean, opened = felt(), stress[:, 6] <= -tension
+        deviator, mean, opened = stress[:, :6].copy(), felt(), stress[:, 6] <= -tension
         rate = affine[:, [0, 4, 8]].sum(axis=1)
         resisting = np.where(opened, mean, np.maximum(mean - viscosity * rate, -tension)) - mean
         grid_to_points(
@@ -300,7 +300,10 @@ def energy_balance(scene: Scene, config: MPMConfig, tau: float, num_rows: int = 
         )  # fmt: skip
         against = -dt * float((volume * resisting * affine[:, [0, 4, 8]].sum(axis=1)).sum())
         viscous += against
-        plastic += -work - against - (stored() - elastic)
+        xx, xy, xz, yx, yy, yz, zx, zy, zz = affine.T
+        mean_deviator, mean_pressure = (deviator + stress[:, :6]).T / 2, (mean + felt()) / 2
+        power = (mean_deviator * (xx, yy, zz, xy + yx, yz + zy, zx + xz)).sum(axis=0) - mean_pressure * (xx + yy + zz)
+        plastic += dt * float((volume * power).sum()) - (stored() - elastic)
     return rows
 
 
