@@ -53,7 +53,9 @@ def test_going_on_from_an_older_one_gives_the_same_checkpoints_and_log(
     train(make_config(data_root, tmp_path, *SETTINGS), tmp_path, whole / f"step000000{step}.ckpt")
     for name in ("last.ckpt", "best.ckpt", "step0000005.ckpt"):
         assert_same(*(torch.load(folder / name, weights_only=True) for folder in (whole, tmp_path)))
-    logged = {folder: [(row["step"], row["loss"]) for row in rows(folder) if row["loss"]] for folder in (whole, tmp_path)}
+    logged = {
+        folder: [(row["step"], row["loss"]) for row in rows(folder) if row["loss"]] for folder in (whole, tmp_path)
+    }
     assert logged[tmp_path] == logged[whole][step:]
 
 
@@ -118,7 +120,9 @@ def test_a_checkpoint_replaces_another_only_when_whole(tmp_path: Path) -> None:
 
 def test_a_folder_has_one_run_at_a_time(tmp_path: Path) -> None:
     leftover = tmp_path / ".last.ckpt.123-abc.part"
-    hold = "import fcntl, sys, time; f = open(sys.argv[1], 'w'); fcntl.lockf(f, fcntl.LOCK_EX); print('held', flush=True)"
+    hold = (
+        "import fcntl, sys, time; f = open(sys.argv[1], 'w'); fcntl.lockf(f, fcntl.LOCK_EX); print('held', flush=True)"
+    )
     other = subprocess.Popen(
         [sys.executable, "-c", f"{hold}; time.sleep(60)", str(tmp_path / ".lock")], stdout=subprocess.PIPE
     )

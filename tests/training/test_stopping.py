@@ -71,7 +71,11 @@ def test_a_signal_ends_the_run_behind_the_step(data_root: Path, tmp_path: Path, 
 def test_time_is_up(data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each start has its time, and the run that was stopped goes on exactly."""
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    long = ["training.optimisation.num_steps=100000", "trainer.val_check_interval=100000", "trainer.log_every_n_steps=50"]
+    long = [
+        "training.optimisation.num_steps=100000",
+        "trainer.val_check_interval=100000",
+        "trainer.log_every_n_steps=50",
+    ]
     made = [0]
     resume = None
     for _ in range(2):
@@ -93,7 +97,10 @@ def test_what_is_not_finite_stops_the_run(data_root: Path, tmp_path: Path, after
     assert torch.load(cut / "last.ckpt", weights_only=True)["global_step"] == 3  # behind the validation
     saved = torch.load(cut / "not_finite_step0000003.pt", weights_only=True)
     assert saved["step"] == 3 and saved["seed"] == 0
-    assert {step: [w["number"] for w in windows] for step, windows in saved["windows"].items()} == {2: [4, 5], 3: [6, 7]}
+    assert {step: [w["number"] for w in windows] for step, windows in saved["windows"].items()} == {
+        2: [4, 5],
+        3: [6, 7],
+    }
     for windows in saved["windows"].values():
         for window in windows:
             assert window["trajectory"].endswith(".h5") and window["frame"] >= 0

@@ -85,9 +85,7 @@ class WindowDataset(Dataset[Data]):
         if missing:
             window = np.concatenate([self._pre_history[which][-missing:], window])
         position = torch.from_numpy(np.ascontiguousarray(window.transpose(1, 0, 2)))
-        return Data(
-            position=position, number=torch.tensor([number]), num_nodes=len(position), **self.constant[which]
-        )
+        return Data(position=position, number=torch.tensor([number]), num_nodes=len(position), **self.constant[which])
 
     def mean_moved_particles(self) -> float:
         """Return how many particles that a simulator moves a window has in the mean."""

@@ -138,7 +138,7 @@ class SimulatorModule(LightningModule):
 
     def on_validation_epoch_end(self) -> None:
         """Log the means over all trajectories, and leave the time of the rollouts out of the pace."""
-        for name, value in self._validation.means(self.trainer.strategy).items():
+        for name, value in self._validation.means(self.trainer).items():
             self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED, sync_dist=True)
         self._clock = (time.perf_counter(), self._windows)
 

@@ -45,9 +45,7 @@ class Perturbation:
         if not self.strain_length > 0:
             raise InputError(f"training.strain_length must be positive, but is {self.strain_length}.")
 
-    def __call__(
-        self, history: Tensor, next_position: Tensor, static: Static, draws: Draws
-    ) -> tuple[Tensor, Tensor]:
+    def __call__(self, history: Tensor, next_position: Tensor, static: Static, draws: Draws) -> tuple[Tensor, Tensor]:
         """Return the perturbed history [N, H, D] and the next position its target leads to [N, D].
 
         With the noise n of the latest position, the target leads to x_{t+1} + (1 − κ) n. Kinematic particles stay.
