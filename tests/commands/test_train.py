@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,9 +18,24 @@ ROOT = Path(__file__).parents[2]
 ONE_FAMILY = [f"data.families.cube_drop.{setting}" for setting in ("count=3", "duration=0.2", "valid=1", "test=0")]
 
 
-def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     command = [sys.executable, str(ROOT / "train.py"), *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    threads = {"OMP_NUM_THREADS": "1"}  # the same sums on a busy machine
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, cwd=folder, text=True, env=os.environ | threads, **pipes)  # type: ignore[call-overload]
+
+
+def finish(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
+    try:
+        stdout, stderr = process.communicate(timeout=300)
+    except BaseException:
+        process.kill()
+        raise
+    return subprocess.CompletedProcess(process.args, process.returncode, stdout, stderr)
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return finish(start(folder, *arguments))
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
@@ -94,3 +110,39 @@ def test_advice_instead_of_a_training(tmp_path: Path) -> None:
     output = tmp_path / "runs/quickstart"
     assert "neighbours within it" in result.stdout and (output / "advice.json").is_file()
     assert not (output / "last.ckpt").exists() and not (output / "csv").exists()
+
+
+def test_killed_anywhere_and_resumed_it_ends_where_an_uninterrupted_run_does(tmp_path: Path) -> None:
+    """Weights, average, optimiser, schedule, progress and best checkpoint, to the last bit."""
+    arguments = tiny("~logger.wandb", "training.optimisation.num_steps=100", "trainer.val_check_interval=30")
+    arguments += ["callbacks.last.every_n_steps=7"]
+    folders = {name: tmp_path / name for name in ("killed", "whole")}
+    killed, whole = (start(tmp_path, *arguments, f"hydra.run.dir={name}") for name in folders)
+    try:
+        deadline = time.monotonic() + 200
+        late = "step0000014.ckpt"
+        while max((p.name for p in folders["killed"].glob("step*")), default="") < late and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(random.uniform(0, 0.4))
+        killed.kill()
+        assert finish(killed).returncode == -9
+        before = torch.load(folders["killed"] / "last.ckpt", weights_only=True)["global_step"]
+        assert 0 < before < 100
+        resumed = run(tmp_path, *arguments, "hydra.run.dir=killed")
+        assert resumed.returncode == 0, resumed.stderr
+        assert finish(whole).returncode == 0
+    finally:
+        killed.kill()
+        whole.kill()
+    for name in ("last.ckpt", "best.ckpt"):
+        assert_same(*(torch.load(folder / name, weights_only=True) for folder in folders.values()))
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_two_devices(tmp_path: Path) -> None:
+    result = run(tmp_path, *tiny("trainer.devices=2", "trainer.accelerator=cpu"))
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.count("Trained.") == 1 and "6 steps on cpu and 1 more" in result.stdout
+    output = tmp_path / "runs/quickstart"
+    assert load_checkpoint(output / "last.ckpt").provenance["steps"] == 6
+    assert len(list((output / "wandb").glob("offline-run-*"))) == len(list((output / "csv").iterdir())) == 1

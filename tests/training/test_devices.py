@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 import torch
 import torch.multiprocessing as mp
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.strategies import DDPStrategy
 from omegaconf import DictConfig
@@ -57,7 +59,8 @@ class Unaveraged(DDPStrategy):
 def config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
     keep = [f"+callbacks.keep._target_={HERE}.KeepRank", f"+callbacks.keep.directory={output}"]
     cfg = make_config(data_root, output, *BATCH, *keep, *overrides)
-    cfg.data.families.cube_drop.update({"count": 5, "valid": 3})  # one process validates on two, the other on one
+    # One process validates on two trajectories, the other on one; cubes, and so windows, differ in size.
+    cfg.data.families.cube_drop.update({"count": 5, "valid": 3, "side": [0.2, 0.5]})
     return cfg
 
 
@@ -100,10 +103,11 @@ def test_two_processes_equal_one(tmp_path: Path) -> None:
     assert [a + b for a, b in zip(first["particles"], second["particles"], strict=True)] == alone["particles"]
     assert first["particles"] != second["particles"]  # windows of unequal size: a mean over particles would be wrong
     assert distance(first["weights"], second["weights"]) == 0
-    assert distance(alone["weights"], first["weights"]) < 2e-6
+    # float32, summed in another order, and Adam divides by small numbers
+    assert distance(alone["weights"], first["weights"]) < 1e-5
     # Control: had the gradients not been averaged, this would have been seen.
-    assert distance(load(apart, 0)["weights"], load(apart, 1)["weights"]) > 1e-4
-    assert distance(alone["weights"], load(apart, 0)["weights"]) > 1e-4
+    assert distance(load(apart, 0)["weights"], load(apart, 1)["weights"]) > 1e-2
+    assert distance(alone["weights"], load(apart, 0)["weights"]) > 1e-2
 
     for output in (one, two):  # one log, one writer
         assert len(list(output.glob("csv/*"))) == 1
@@ -126,3 +130,12 @@ def test_windows_have_to_be_shared_alike(devices: int, nodes: int, shared: bool)
     else:
         with pytest.raises(InputError, match="batch_size=4 windows per step cannot be shared by 3 processes"):
             check_devices(trainer, 4)
+
+
+def test_a_sweep_has_one_device_per_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lightning would start the whole sweep once more for the second device."""
+    monkeypatch.setattr(HydraConfig, "initialized", lambda: True)
+    monkeypatch.setattr(HydraConfig, "get", lambda: SimpleNamespace(mode=RunMode.MULTIRUN))
+    check_devices(SimpleNamespace(num_devices=1, num_nodes=1), 4)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"every job on one device; set trainer\.devices=1"):
+        check_devices(SimpleNamespace(num_devices=2, num_nodes=1), 4)  # type: ignore[arg-type]

@@ -120,12 +120,20 @@ def test_a_checkpoint_that_cannot_be_resumed(data_root: Path, tmp_path: Path) ->
         ("+training.noise_sdt=1", "unknown key noise_sdt"),
         ("training.optimisation.huber_delta=-1", "huber_delta"),
         ("model.output=magic", "output must be one of"),
-        ("trainer.devices=3", "cannot be shared by 3 processes"),
+        ("callbacks.last.keep=0", "keep must be a whole number of at least 1"),
+        ("trainer.max_time=tomorrow", "not a valid duration"),
     ],
 )
 def test_bad_settings_are_refused_before_anything_is_generated(tmp_path: Path, change: str, sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         train(make_config(tmp_path / "data", tmp_path, change), tmp_path, None)
+    assert not (tmp_path / "data").exists()
+
+
+def test_windows_that_devices_cannot_share_are_refused_before_anything_is_generated(tmp_path: Path) -> None:
+    cfg = make_config(tmp_path / "data", tmp_path, "trainer.devices=3", "trainer.accelerator=cpu")
+    with pytest.raises(InputError, match="batch_size=2 windows per step cannot be shared by 3 processes"):
+        train(cfg, tmp_path, None)
     assert not (tmp_path / "data").exists()
 
 

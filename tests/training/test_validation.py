@@ -33,18 +33,19 @@ def gathered(errors: list[dict[str, float]], ranks: int) -> list[dict[str, float
         tables.append(table)
     parts: list[torch.Tensor] = []
 
-    def strategy(rank: int, total: torch.Tensor | None) -> SimpleNamespace:
+    def trainer(rank: int, total: torch.Tensor | None) -> SimpleNamespace:
         def reduce(part: torch.Tensor, reduce_op: str) -> torch.Tensor:
             assert reduce_op == "sum"
             parts.append(part)
             return part if total is None else total
 
-        return SimpleNamespace(global_rank=rank, world_size=ranks, root_device=torch.device("cpu"), reduce=reduce)
+        own = SimpleNamespace(root_device=torch.device("cpu"), reduce=reduce)
+        return SimpleNamespace(global_rank=rank, world_size=ranks, strategy=own)
 
     for rank, table in enumerate(tables):
-        table.means(strategy(rank, None))  # type: ignore[arg-type]
+        table.means(trainer(rank, None))  # type: ignore[arg-type]
     total = torch.stack(parts).sum(dim=0)
-    return [table.means(strategy(rank, total)) for rank, table in enumerate(tables)]  # type: ignore[arg-type]
+    return [table.means(trainer(rank, total)) for rank, table in enumerate(tables)]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("ranks", [1, 2, 3, 4, 7])

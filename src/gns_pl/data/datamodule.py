@@ -111,6 +111,10 @@ class TrajectoryDataModule(LightningDataModule):
                 in_memory=self.in_memory,
             )
 
+    def _processes(self) -> tuple[int, int]:
+        """Return the number of this process and how many there are."""
+        return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
+
     def _sampler(self, *, rank: int = 0, num_ranks: int = 1) -> StepSampler:
         return StepSampler(
             num_windows=len(self.train_set),
@@ -137,7 +141,8 @@ class TrajectoryDataModule(LightningDataModule):
 
     def train_dataloader(self) -> DataLoader:
         """Return this process's share of the batches of all steps still to make."""
-        sampler = self._sampler(rank=self.trainer.global_rank, num_ranks=self.trainer.world_size)
+        rank, ranks = self._processes()
+        sampler = self._sampler(rank=rank, num_ranks=ranks)
         return DataLoader(
             self.train_set, batch_sampler=sampler, num_workers=self.num_workers, worker_init_fn=_ignore_interrupts
         )
@@ -147,7 +152,7 @@ class TrajectoryDataModule(LightningDataModule):
 
         Rank r of R has r, r + R, …; those that would have one less than others have an empty slot in its place.
         """
-        rank, ranks = self.trainer.global_rank, self.trainer.world_size
+        rank, ranks = self._processes()
         paths: list[Path | None] = [self.directory / name for name in self.manifest.splits["valid"]]
         paths += [None] * (-len(paths) % ranks)
         return TorchDataLoader(TrajectoryDataset(paths[rank::ranks], self.stride), batch_size=None)

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 _WORD = 1 << 64
-_BITS = 24
-"""Random bits of a number; the significand of a float32 holds no more."""
+_BITS = 23
+"""Random bits of a number; with the half added to them, a float32 holds no more."""
 
 
 def _signed(value: int) -> int:
@@ -24,13 +24,18 @@ _SECOND = _signed(0x94D049BB133111EB)
 
 
 def _shifted(word: Tensor, by: int) -> Tensor:
-    return (word >> by) & ((1 << (64 - by)) - 1)  # torch shifts the sign in
+    shifted = word >> by
+    shifted &= (1 << (64 - by)) - 1  # torch shifts the sign in
+    return shifted
 
 
 def _mixed(word: Tensor) -> Tensor:
-    word = (word ^ _shifted(word, 30)) * _FIRST
-    word = (word ^ _shifted(word, 27)) * _SECOND
-    return word ^ _shifted(word, 31)
+    word = word ^ _shifted(word, 30)
+    word *= _FIRST
+    word ^= _shifted(word, 27)
+    word *= _SECOND
+    word ^= _shifted(word, 31)
+    return word
 
 
 def split_mix(key: Tensor, place: Tensor) -> Tensor:
@@ -73,27 +78,32 @@ class Draws:
 
     def uniform(self, purpose: str, *shape: int, dtype: torch.dtype) -> Tensor:
         """Return numbers in the open interval (0, 1) for every window [B, *shape]; other purposes draw others."""
-        return self._drawn(purpose, shape, dtype, self._key, None)
+        return unit_interval(self._words(purpose, shape, self._key, None)).to(dtype)
 
     def normal(self, purpose: str, *shape: int, dtype: torch.dtype) -> Tensor:
         """Return standard normal numbers for every window [B, *shape]."""
-        return _normal(self.uniform(purpose, *shape, dtype=dtype))
+        return standard_normal(self._words(purpose, shape, self._key, None)).to(dtype)
 
     def particle_normal(self, purpose: str, *shape: int, dtype: torch.dtype) -> Tensor:
         """Return standard normal numbers for every particle [N, *shape]."""
-        return _normal(self._drawn(purpose, shape, dtype, self._key[self.batch], self._place))
+        return standard_normal(self._words(purpose, shape, self._key[self.batch], self._place)).to(dtype)
 
-    def _drawn(
-        self, purpose: str, shape: tuple[int, ...], dtype: torch.dtype, key: Tensor, particle: Tensor | None
-    ) -> Tensor:
+    def _words(self, purpose: str, shape: tuple[int, ...], key: Tensor, particle: Tensor | None) -> Tensor:
         key = _mixed(key ^ (zlib.crc32(purpose.encode()) << 16))[:, None]
         size = math.prod(shape)
         place = torch.arange(size, device=key.device)
         if particle is not None:
             place = particle[:, None] * size + place
-        word = _shifted(split_mix(key, place), 64 - _BITS)
-        return ((word.to(dtype) + 0.5) / 2**_BITS).view(-1, *shape)
+        return split_mix(key, place).view(-1, *shape)
 
 
-def _normal(uniform: Tensor) -> Tensor:
-    return torch.erfinv(2 * uniform - 1) * math.sqrt(2)
+def unit_interval(word: Tensor) -> Tensor:
+    """Return the first bits of 64-bit words as float32 in the open interval (0, 1), symmetric about the middle."""
+    unit: Tensor = (_shifted(word, 64 - _BITS).to(torch.float32) + 0.5) / 2**_BITS
+    return unit
+
+
+def standard_normal(word: Tensor) -> Tensor:
+    """Return 64-bit words as standard normal float32, at most 5.3 in size."""
+    normal: Tensor = torch.erfinv(2 * unit_interval(word) - 1) * math.sqrt(2)
+    return normal

@@ -35,11 +35,11 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         # torch's own writer turns a full disk into an error without errno, Lightning's leaves its temporary file.
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
-        write_atomically(path, buffer.getbuffer())
+        write_atomically(Path(path), buffer.getbuffer())
 
 
 class LastCheckpoint(Checkpoint):
-    """Keeps `last.ckpt` of a run and the few before it: every so many steps, after the last one, and when it is stopped.
+    """Keeps `last.ckpt` of a run and the few before it: every so many steps, at the end, and when the run is stopped.
 
     Lightning calls checkpoint callbacks after all others, so the average that is saved has taken the step in.
     If a validation follows, the checkpoint is written behind it: a resumed run does not miss a validation.

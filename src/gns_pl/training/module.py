@@ -117,8 +117,10 @@ class SimulatorModule(LightningModule):
         def difference(predicted: Tensor, target: Tensor) -> Tensor:
             predicted, target = predicted[moved], target[moved]
             if delta is None:
-                return mse_loss(predicted, target, reduction="sum") / parts
-            return smooth_l1_loss(predicted, target, beta=delta, reduction="sum") / parts
+                total = mse_loss(predicted, target, reduction="sum")
+            else:
+                total = smooth_l1_loss(predicted, target, beta=delta, reduction="sum")
+            return cast(Tensor, total / parts)
 
         return unrolled_loss(
             self.simulator, history, goal, future, static, restore=self.perturb.restore, loss=difference
@@ -154,7 +156,7 @@ class SimulatorModule(LightningModule):
 
     def on_validation_epoch_end(self) -> None:
         """Log the means over all trajectories, and leave the time of the rollouts out of the pace."""
-        for name, value in self._validation.means(self.trainer.strategy).items():
+        for name, value in self._validation.means(self.trainer).items():
             self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED, sync_dist=True)
         self._clock = (time.perf_counter(), self._windows)
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 import torch
-from lightning.pytorch.strategies import Strategy
+from lightning.pytorch import Trainer
 
 from gns_pl.evaluation.metrics import ERRORS, SUMMARY
 
@@ -34,19 +34,21 @@ class ValidationTable:
         """Append the errors (`rollout_errors`) of this process's next trajectory; None for an empty slot."""
         self._rows.append(errors)
 
-    def means(self, strategy: Strategy) -> dict[str, float]:
+    def means(self, trainer: Trainer) -> dict[str, float]:
         """Return the mean of every error that is defined for a trajectory at least, the same on every process.
 
         Rows are put together before they are summed, so the means do not depend on the number of processes.
 
         Args:
-            strategy: of the trainer; it knows the processes.
+            trainer: it knows the processes.
         """
-        rank, ranks = strategy.global_rank, strategy.world_size
+        rank, ranks, strategy = trainer.global_rank, trainer.world_size, trainer.strategy
         precision = torch.float32 if strategy.root_device.type == "mps" else torch.float64
         table = torch.zeros((len(self._rows) * ranks, 2, len(NAMES)), dtype=precision)
         for slot, errors in enumerate(self._rows):
-            for column, name in enumerate(NAMES if errors is not None else ()):
+            if errors is None:
+                continue
+            for column, name in enumerate(NAMES):
                 value = errors[name]
                 if name == MONITORED or not math.isnan(value):
                     table[slot * ranks + rank, :, column] = torch.tensor([value, 1.0], dtype=precision)
