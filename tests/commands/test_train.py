@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import csv
 import os
+import random
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+import torch
 
 from gns_pl.checkpoint import load_checkpoint
 from gns_pl.training.summary import read_summary
-from tests.training.conftest import TINY
+from tests.training.conftest import TINY, assert_same
 
 ROOT = Path(__file__).parents[2]
 ONE_FAMILY = [f"data.families.cube_drop.{setting}" for setting in ("count=3", "duration=0.2", "valid=1", "test=0")]

@@ -68,7 +68,7 @@ def rows(output: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-DIFFERENT = {"provenance", "Timer"}
+DIFFERENT = {"provenance", "Timer", "Clock"}
 """Entries of a checkpoint that two equal runs do not share: when and where they were made."""
 
 

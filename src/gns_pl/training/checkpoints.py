@@ -83,10 +83,7 @@ class LastCheckpoint(Checkpoint):
         if not trainer.is_global_zero:
             return
         with atomic_path(self.directory / LAST) as temporary:
-            try:
-                os.link(path, temporary)  # a second name of the same file
-            except OSError:  # a file system without such names
-                shutil.copyfile(path, temporary)
+            shutil.copyfile(path, temporary)  # not a second name of one file: what damages one leaves the other
         for old in newest_first(self.directory)[self.keep :]:
             old.unlink(missing_ok=True)
 

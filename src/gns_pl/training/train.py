@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import math
 import os
@@ -24,7 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
 from gns_pl.generation import generate_dataset
-from gns_pl.io import manifest_sha256
+from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.simulator import SimulatorConfig
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
@@ -80,6 +81,11 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         except SystemExit:
             hint = f"; to go on, add {go_on(output)}" if (output / LAST).is_file() else ""
             raise SystemExit(f"train.py: stopped after {trainer.global_step} steps{hint}") from None
+        except (StorageError, OSError) as error:
+            if isinstance(error, OSError) and error.errno != errno.ENOSPC:
+                raise
+            hint = f"; make room and go on: add {go_on(output)}" if (output / LAST).is_file() else ""
+            raise StorageError(f"{str(error).rstrip('.')}{hint}") from error
         finally:
             try:
                 close_run(output, trainer, module, datamodule)
