@@ -116,7 +116,7 @@ def test_two_processes_equal_one(tmp_path: Path) -> None:
     compared = 0
     for row, other in zip(rows(one), rows(two), strict=True):
         for name, value in row.items():
-            if value and name != "windows_per_s":
+            if value and name not in ("windows_per_s", "hours", "step_seconds", "valid/rollout_step_seconds"):
                 assert float(other[name]) == pytest.approx(float(value), rel=1e-4, abs=1e-6), name
                 compared += name.startswith("valid/")
     assert compared > 20
