@@ -86,6 +86,7 @@ def test_train_again_and_sweep(tmp_path: Path) -> None:
     assert len(runs) == 3 and all(b"runs_sweep" in run for run in runs)  # two jobs and the sweep, in one group
 
 
+@pytest.mark.slow
 def test_a_bad_job_does_not_end_a_sweep(tmp_path: Path) -> None:
     sweep = run(tmp_path, "-m", *tiny("training.noise_std=-1,1e-4", "hydra.sweep.dir=runs/sweep", "~logger.wandb"))
     assert sweep.returncode != 0 and "noise_std must not be negative" in sweep.stderr
@@ -107,6 +108,7 @@ def test_bad_input_is_one_sentence(tmp_path: Path, argument: str, sentence: str)
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.slow
 def test_advice_instead_of_a_training(tmp_path: Path) -> None:
     result = run(tmp_path, *tiny("advise=true"))
     assert result.returncode == 0, result.stderr
@@ -142,6 +144,7 @@ def test_killed_anywhere_and_resumed_it_ends_where_an_uninterrupted_run_does(tmp
     assert not list(tmp_path.rglob("*.part"))
 
 
+@pytest.mark.slow
 def test_two_devices(tmp_path: Path) -> None:
     result = run(tmp_path, *tiny("trainer.devices=2", "trainer.accelerator=cpu"))
     assert result.returncode == 0, result.stderr
