@@ -19,7 +19,7 @@ quickstart: $(STAMP)
 	$(BIN)/python evaluate.py ckpt=runs/quickstart/last.ckpt
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow

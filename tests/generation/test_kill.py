@@ -28,6 +28,8 @@ def start(root: Path, *arguments: str) -> subprocess.Popen[str]:
         cwd=REPOSITORY,
         stderr=subprocess.PIPE,
         text=True,
+        # What a shell starts in the background ignores Ctrl-C, and hands that down; the tests must not mind.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
 
 

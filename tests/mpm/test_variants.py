@@ -70,6 +70,7 @@ def test_every_shape_function_is_a_partition_of_unity_with_exact_linear_fields(f
         assert weights @ (nodes - acting) ** 2 == pytest.approx(moment, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_linear_shape_functions_are_another_scheme_of_the_same_sand() -> None:
     scene = make_box((1.0, 0.5), Body((0.0, 0.0), (0.3, 0.3), (0.0, 0.0)), duration=0.8, lower_z=Wall("friction", 0.4))
     quadratic, linear = (
