@@ -59,7 +59,7 @@ def test_the_manifest_describes_the_files(root: Path) -> None:
 def test_statistics_are_those_of_all_training_frames(
     faked: None, tmp_path: Path, block_bytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gns_pl.generation.produce.BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr("gns_pl.data.statistics.BLOCK_BYTES", block_bytes)
     root = generate_dataset(make_spec(), root=tmp_path / "set", num_workers=1, progress=False)
     manifest = read_manifest(root)
     trajectories = [read_trajectory(root / name) for name in manifest.splits["train"]]

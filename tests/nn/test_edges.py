@@ -52,6 +52,15 @@ def test_values_and_gradients_equal_the_plain_way(num_mlp_layers: int, edges: in
         torch.testing.assert_close(mine.double(), truth, atol=3e-5 * scale, rtol=1e-4)
 
 
+def test_the_norms_own_epsilon_is_used() -> None:
+    graph, network = make_graph(), make_network(1)
+    for layer in network.processor:
+        layer.edge_mlp[-1].eps = 0.5
+    compiled = network(*graph)
+    network.compiled_edges = False
+    torch.testing.assert_close(compiled, network(*graph), atol=1e-5, rtol=1e-4)
+
+
 def test_the_same_bits_twice_and_without_gradients() -> None:
     graph, network = make_graph(), make_network(1)
     first, second = results(network, *graph), results(network, *graph)

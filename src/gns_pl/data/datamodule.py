@@ -13,10 +13,10 @@ from torch.utils.data import Dataset
 from torch_geometric.loader import DataLoader
 
 from gns_pl.data.sampler import StepSampler
-from gns_pl.data.statistics import RunningStatistics
+from gns_pl.data.statistics import RunningStatistics, measure_motion
 from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
-from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.io import read_header, read_manifest, read_static, read_trajectory
 from gns_pl.trajectory import Trajectory
 
 
@@ -127,17 +127,13 @@ class TrajectoryDataModule(LightningDataModule):
         )
 
     def statistics(self) -> dict[str, RunningStatistics]:
-        """Return the velocity's and the acceleration's over the training trajectories, at the step's stride.
-
-        They are those of `Trajectory.velocity` and `Trajectory.acceleration`.
-        """
-        dim = self.manifest.dim
-        velocity, acceleration = RunningStatistics(dim), RunningStatistics(dim)
-        for name in self.train_names:
-            trajectory = read_trajectory(self.directory / name).every(self.stride)
-            velocity.update(trajectory.velocity().reshape(-1, dim))
-            acceleration.update(trajectory.acceleration().reshape(-1, dim))
-        return {"velocity": velocity, "acceleration": acceleration}
+        """Return the velocity's and the acceleration's over the training trajectories, at the step's stride."""
+        total = {name: RunningStatistics(self.manifest.dim) for name in ("velocity", "acceleration")}
+        for path in (self.directory / name for name in self.train_names):
+            start = read_static(path)["initial_velocity"]
+            for name, seen in measure_motion(path, read_header(path), start, stride=self.stride).items():
+                total[name].merge(seen)
+        return total
 
     def train_dataloader(self) -> DataLoader:
         """Return this process's share of the batches of all steps still to make."""

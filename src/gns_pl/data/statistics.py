@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gns_pl.io import TrajectoryHeader, open_trajectory, read_window
+
+BLOCK_BYTES = 32 * 1024 * 1024
+"""Positions measured at a time."""
 
 
 class RunningStatistics:
@@ -65,3 +71,36 @@ class RunningStatistics:
     def to_dict(self) -> dict[str, Any]:
         """Return "count", "mean" and "std" as plain values."""
         return {"count": self.count, "mean": self.mean.tolist(), "std": self.std.tolist()}
+
+
+def measure_motion(
+    path: Path, header: TrajectoryHeader, initial_velocity: NDArray[np.floating], *, stride: int = 1
+) -> dict[str, RunningStatistics]:
+    """Return the statistics of velocity and acceleration over a file, read block by block.
+
+    They are those of `Trajectory.velocity` and `Trajectory.acceleration` after `Trajectory.every`.
+
+    Args:
+        path: of the file.
+        header: of the file.
+        initial_velocity: in the file [N, D] [m/s].
+        stride: frames of the file in a step.
+
+    Returns:
+        "velocity" [m/s] and "acceleration" [m/s²].
+    """
+    dim, dt, steps = header.dim, header.dt * stride, (header.num_frames - 1) // stride
+    velocity, acceleration = RunningStatistics(dim), RunningStatistics(dim)
+    last = initial_velocity.astype(np.float64)[None]
+    velocity.update(last[0])
+    block = max(1, BLOCK_BYTES // (8 * dim * header.num_particles * stride))
+    with open_trajectory(path) as file:
+        for start in range(0, steps, block):
+            length = min(block, steps - start)
+            position = read_window(file, start * stride, length * stride + 1)[::stride].astype(np.float64)
+            velocities = np.diff(position, axis=0) / dt
+            velocity.update(velocities.reshape(-1, dim))
+            velocities = np.concatenate([last, velocities])
+            acceleration.update((np.diff(velocities, axis=0) / dt).reshape(-1, dim))
+            last = velocities[-1:]
+    return {"velocity": velocity, "acceleration": acceleration}

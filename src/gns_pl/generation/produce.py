@@ -9,27 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gns_pl.data.statistics import RunningStatistics
+from gns_pl.data.statistics import RunningStatistics, measure_motion
 from gns_pl.errors import InputError
 from gns_pl.generation import solver
 from gns_pl.generation.thinning import thin_trajectory
 from gns_pl.io import (
     FileRecord,
-    TrajectoryHeader,
     file_sha256,
-    open_trajectory,
     read_header,
     read_static,
-    read_window,
     write_trajectory,
 )
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
-
-BLOCK_BYTES = 32 * 1024 * 1024
-"""Positions measured at a time."""
 
 
 @dataclass(frozen=True)
@@ -185,34 +178,5 @@ def _measure_file(place: Place, job: Job) -> Measured:
         record=FileRecord(file_sha256(place.path), header.num_frames, header.num_particles),
         particle_types=tuple(int(kind) for kind in np.unique(static["particle_type"])),
         material_features=header.material_features,
-        statistics=measure(place.path, header, static["initial_velocity"]),
+        statistics=measure_motion(place.path, header, static["initial_velocity"]),
     )
-
-
-def measure(
-    path: Path, header: TrajectoryHeader, initial_velocity: NDArray[np.floating]
-) -> dict[str, RunningStatistics]:
-    """Return the statistics of velocity and acceleration over a file, read block by block.
-
-    They are those of `Trajectory.velocity` and `Trajectory.acceleration`.
-
-    Args:
-        path: of the file.
-        header: of the file.
-        initial_velocity: in the file [N, D] [m/s].
-    """
-    dim, dt = header.dim, header.dt
-    velocity, acceleration = RunningStatistics(dim), RunningStatistics(dim)
-    last = initial_velocity.astype(np.float64)[None]
-    velocity.update(last[0])
-    block = max(1, BLOCK_BYTES // (8 * dim * header.num_particles))
-    with open_trajectory(path) as file:
-        for start in range(0, header.num_frames - 1, block):
-            length = min(block, header.num_frames - 1 - start)
-            position = read_window(file, start, length + 1).astype(np.float64)
-            velocities = np.diff(position, axis=0) / dt
-            velocity.update(velocities.reshape(-1, dim))
-            velocities = np.concatenate([last, velocities])
-            acceleration.update((np.diff(velocities, axis=0) / dt).reshape(-1, dim))
-            last = velocities[-1:]
-    return {"velocity": velocity, "acceleration": acceleration}

@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-EPSILON = 1e-5
-"""Added to the variance, as in `torch.nn.LayerNorm`."""
-
 Array = NDArray[np.float32]
 
 
@@ -31,12 +28,10 @@ class SortedEdges:
 
     Attributes:
         sender: [E] int64.
-        receiver: [E] int64, ascending.
         start: first edge of every receiver, and E at the end [N + 1] int64.
     """
 
     sender: Tensor
-    receiver: Tensor
     start: Tensor
 
     @classmethod
@@ -51,7 +46,7 @@ class SortedEdges:
         if bool((receiver[1:] < receiver[:-1]).any()):
             return None
         start = torch.searchsorted(receiver.contiguous(), torch.arange(num_nodes + 1))
-        return cls(sender.contiguous(), receiver.contiguous(), start)
+        return cls(sender.contiguous(), start)
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -88,7 +83,15 @@ def _gather_backward(
 
 @_compiled
 def _norm_forward(
-    value: Array, weight: Array, bias: Array, edge: Array, start: Any, inverse: Array, updated: Array, received: Array
+    epsilon: float,
+    value: Array,
+    weight: Array,
+    bias: Array,
+    edge: Array,
+    start: Any,
+    inverse: Array,
+    updated: Array,
+    received: Array,
 ) -> None:
     """Turn `value` into its normalised form in place; fill 1 / deviation, edge + message and the sums of messages."""
     width = value.shape[1]
@@ -101,7 +104,7 @@ def _norm_forward(
             mean = total / np.float32(width)
             for c in range(width):
                 square += (value[e, c] - mean) ** 2
-            scale = np.float32(1) / np.sqrt(square / np.float32(width) + np.float32(EPSILON))
+            scale = np.float32(1) / np.sqrt(square / np.float32(width) + np.float32(epsilon))
             inverse[e] = scale
             if keep:
                 for c in range(width):
@@ -186,14 +189,22 @@ class _Gather(torch.autograd.Function):
 class _NormAndSum(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, value: Tensor, weight: Tensor, bias: Tensor, edge: Tensor, edges: SortedEdges, keep: bool
+        ctx: Any,
+        value: Tensor,
+        weight: Tensor,
+        bias: Tensor,
+        epsilon: float,
+        edge: Tensor,
+        edges: SortedEdges,
+        keep: bool,
     ) -> tuple[Tensor, Tensor]:
         # The products before do not need their own output for their gradient, so the norm is made in place of it.
         normal = value.detach()
         inverse = normal.new_empty(len(normal))
         updated = torch.empty_like(edge) if keep else normal.new_empty(0, normal.shape[1])
         received = normal.new_zeros(len(edges.start) - 1, normal.shape[1])
-        _norm_forward(*_arrays(normal, weight, bias, edge, edges.start, inverse, updated, received))
+        arrays = _arrays(normal, weight, bias, edge, edges.start, inverse, updated, received)
+        _norm_forward(epsilon, *arrays)
         ctx.save_for_backward(normal, inverse, weight)
         ctx.edges, ctx.keep = edges, keep
         return updated, received
@@ -210,7 +221,7 @@ class _NormAndSum(torch.autograd.Function):
                 kept, to_received.contiguous(), normal, inverse, weight, ctx.edges.start, to_value, to_weight, to_bias
             )
         )
-        return to_value, to_weight, to_bias, to_updated if ctx.keep else None, None, None
+        return to_value, to_weight, to_bias, None, to_updated if ctx.keep else None, None, None
 
 
 def _arrays(*tensors: Tensor) -> list[NDArray[Any]]:
@@ -242,5 +253,7 @@ def norm_and_sum(
         edges: sorted by receiver.
         keep: whether the new edge states are wanted; else an empty tensor comes in their place.
     """
-    result: tuple[Tensor, Tensor] = _NormAndSum.apply(value, norm.weight, norm.bias, edge.contiguous(), edges, keep)  # type: ignore[no-untyped-call]
+    result: tuple[Tensor, Tensor] = _NormAndSum.apply(
+        value, norm.weight, norm.bias, norm.eps, edge.contiguous(), edges, keep
+    )  # type: ignore[no-untyped-call]
     return result

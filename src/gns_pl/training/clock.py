@@ -9,7 +9,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 
 
 class Clock(Callback):
-    """Logs `hours` beside the loss and beside every validation, and `step_seconds`, the mean over the steps since.
+    """Logs `hours` beside the loss and every validation, and `step_seconds`, the mean since, with `windows_per_s`.
 
     The time goes into checkpoints, so that a resumed run's hours go on where its checkpoint was written. What a killed
     start did after its last checkpoint is lost, and its time is not counted either. `step_seconds` leaves validations
@@ -48,7 +48,10 @@ class Clock(Callback):
         if step % cast(Any, trainer).log_every_n_steps == 0 and step > before:
             float(outputs["loss"])  # waits for the device
             now = time.perf_counter()
-            pl_module.log("step_seconds", (now - since) / (step - before), batch_size=1)
+            seconds = (now - since) / (step - before)
+            windows = cast(Any, trainer).datamodule.batch_size  # of all processes
+            pl_module.log("step_seconds", seconds, batch_size=1)
+            pl_module.log("windows_per_s", windows / seconds, prog_bar=True, batch_size=1)
             pl_module.log("hours", self.seconds / 3600, batch_size=1)
             self._mark = (now, step)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import Any, cast
 
 import torch
@@ -78,15 +77,12 @@ class SimulatorModule(LightningModule):
         self.particles_per_window = particles_per_window
         self.seed = seed
         self.provenance = provenance
-        self._clock = (time.perf_counter(), 0)
-        self._windows = 0
 
     def training_step(self, batch: Data, batch_index: int) -> dict[str, Tensor]:
         """Return "loss", that of this process's windows, and "joined", that of all processes' windows."""
         loss = self.loss(batch)
         joined = self.trainer.strategy.reduce(loss.detach().clone(), reduce_op="mean")
         self.log("loss", joined, prog_bar=True, batch_size=batch.num_graphs)
-        self._windows += batch.num_graphs * self.trainer.world_size
         return {"loss": loss, "joined": cast(Tensor, joined)}
 
     def loss(self, batch: Data) -> Tensor:
@@ -132,14 +128,6 @@ class SimulatorModule(LightningModule):
         late = step >= settings["unroll_from"] * settings["num_steps"]
         return int(settings["unroll_steps"]) if late else 1
 
-    def on_train_batch_end(self, outputs: Any, batch: Data, batch_index: int) -> None:
-        """Log the pace now and then."""
-        if self.global_step % cast(Any, self.trainer).log_every_n_steps == 0:
-            now = time.perf_counter()
-            before, windows = self._clock
-            self.log("windows_per_s", (self._windows - windows) / (now - before), prog_bar=True, batch_size=1)
-            self._clock = (now, self._windows)
-
     def on_validation_epoch_start(self) -> None:
         """Begin a new table of errors."""
         self._validation = ValidationTable()
@@ -155,10 +143,9 @@ class SimulatorModule(LightningModule):
         return {"predicted": predicted}
 
     def on_validation_epoch_end(self) -> None:
-        """Log the means over all trajectories, and leave the time of the rollouts out of the pace."""
+        """Log the means over all trajectories."""
         for name, value in self._validation.means(self.trainer).items():
             self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED, sync_dist=True)
-        self._clock = (time.perf_counter(), self._windows)
 
     def configure_optimizers(self) -> Any:
         """Return AdamW with warm-up and cosine, stepped every step."""
