@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch_geometric.loader import DataLoader
 
+from gns_pl.data.sampler import Drawn
 from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
 from gns_pl.io import write_trajectory
@@ -88,3 +89,17 @@ def test_refusals(tmp_path: Path, drop: Scene) -> None:
         WindowDataset(
             [tmp_path / "slope.h5"], input_sequence_length=3, num_targets=1, stride=1, start_repeats=1, in_memory=True
         )
+
+
+@pytest.mark.parametrize("in_memory", [True, False])
+def test_a_later_visit_is_the_window_of_later_frames(paths: list[Path], in_memory: bool) -> None:
+    settings = {"input_sequence_length": 3, "num_targets": 1, "start_repeats": 1, "in_memory": in_memory}
+    all_frames = WindowDataset(paths, **settings, stride=1)
+    visited = WindowDataset(paths, **settings, stride=1, visits=3)
+    for index, (which, frame) in enumerate(visited.index):
+        for visit in range(3):
+            later = visited[Drawn(index, 7, visit)]
+            plain = all_frames[all_frames.index.index((which, frame + visit))]
+            assert torch.equal(later.position, plain.position)
+            assert later.number.tolist() == [7] and later.visit.tolist() == [visit]
+    assert len(all_frames) - len(visited) == len(paths) * 2

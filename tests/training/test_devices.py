@@ -17,6 +17,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.strategies import DDPStrategy
 from omegaconf import DictConfig
 
+from gns_pl.data import sampler
 from gns_pl.errors import InputError
 from gns_pl.training.devices import check_devices
 from gns_pl.training.train import train
@@ -24,6 +25,7 @@ from tests.training.conftest import make_config, rows
 
 HERE = "tests.training.test_devices"
 BATCH = ["training.batch_size=4", "trainer.accelerator=cpu"]
+CARRY = ["training.optimisation.visits=3", "training.optimisation.unroll_from=0.0"]  # windows stay with their process
 
 
 class KeepRank(Callback):
@@ -58,7 +60,7 @@ class Unaveraged(DDPStrategy):
 
 def config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
     keep = [f"+callbacks.keep._target_={HERE}.KeepRank", f"+callbacks.keep.directory={output}"]
-    cfg = make_config(data_root, output, *BATCH, *keep, *overrides)
+    cfg = make_config(data_root, output, *BATCH, *CARRY, *keep, *overrides)
     # One process validates on two trajectories, the other on one; cubes, and so windows, differ in size.
     cfg.data.families.cube_drop.update({"count": 5, "valid": 3, "side": [0.2, 0.5]})
     return cfg
@@ -69,6 +71,7 @@ def work(rank: int, port: int, data_root: Path, runs: dict[Path, list[str]]) -> 
     place = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "NODE_RANK": "0", "LOCAL_RANK": str(rank)}
     os.environ |= place | {"WORLD_SIZE": "2"}
     torch.set_num_threads(1)
+    sampler.POOL = 2
     for output, overrides in runs.items():
         try:
             train(config(data_root, output, "trainer.devices=2", *overrides), output, None)
@@ -88,7 +91,8 @@ def distance(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> floa
     )
 
 
-def test_two_processes_equal_one(tmp_path: Path) -> None:
+def test_two_processes_equal_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampler, "POOL", 2)  # so that a short training comes back to its windows
     data_root, one, two, apart = (tmp_path / name for name in ("data", "one", "two", "apart"))
     for output in (one, two, apart):
         output.mkdir()
@@ -108,6 +112,11 @@ def test_two_processes_equal_one(tmp_path: Path) -> None:
     # Control: had the gradients not been averaged, this would have been seen.
     assert distance(load(apart, 0)["weights"], load(apart, 1)["weights"]) > 1e-2
     assert distance(alone["weights"], load(apart, 0)["weights"]) > 1e-2
+
+    carried, shared = (torch.load(output / "last.ckpt", weights_only=True)["carried"] for output in (one, two))
+    assert carried.keys() == shared.keys() and {number % 4 // 2 for number in carried} == {0, 1}  # those of both
+    for number, history in carried.items():
+        torch.testing.assert_close(shared[number], history, rtol=0, atol=1e-6)
 
     for output in (one, two):  # one log, one writer
         assert len(list(output.glob("csv/*"))) == 1

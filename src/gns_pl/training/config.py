@@ -25,6 +25,8 @@ class Optimisation:
         symmetry: mirror and exchange the horizontal axes at random.
         unroll_steps: steps in a row that the loss follows, late in training.
         unroll_from: share of the training after which it does; before, it is one step.
+        visits: how often a window is visited, each time `unroll_steps` later and, late in training, from where the
+            network itself led it (`training.carry`).
 
     Raises:
         InputError: a value out of range.
@@ -39,9 +41,10 @@ class Optimisation:
     symmetry: bool
     unroll_steps: int
     unroll_from: float
+    visits: int
 
     def __post_init__(self) -> None:
-        _check("training.optimisation", self, num_steps=1, warmup_steps=0, unroll_steps=1)
+        _check("training.optimisation", self, num_steps=1, warmup_steps=0, unroll_steps=1, visits=1)
         _check("training.optimisation", self, unroll_from=0.0)
         _check("training.optimisation", self, learning_rate=0.0, final_factor=0.0, weight_decay=0.0)
         if self.huber_delta is not None:
