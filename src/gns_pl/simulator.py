@@ -19,6 +19,7 @@ from gns_pl.graph import Static, edge_features, edge_width, node_features, node_
 from gns_pl.nn import EncodeProcessDecode
 
 OUTPUTS = ("acceleration", "gated", "held")
+AGGREGATIONS = ("sum", "mean")
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,8 @@ class SimulatorConfig:
             "held": v' = s (v + g Δt + u), so that s = 0 alone is rest, whatever u is.
         context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
+        aggregation: of the messages at a particle, "sum" or "mean".
+        static_edges: every interaction network sees the encoded edges, none updates them.
 
     Raises:
         InputError: values that make no simulator.
@@ -59,6 +62,8 @@ class SimulatorConfig:
     output: str
     context: bool
     neighbours: str
+    aggregation: str = "sum"
+    static_edges: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particle_types", tuple(self.particle_types))
@@ -76,13 +81,16 @@ class SimulatorConfig:
                 raise InputError(f"model.{name} must be positive, not {getattr(self, name)}.")
         if self.output not in OUTPUTS:
             raise InputError(f"model.output must be one of {', '.join(OUTPUTS)}, not {self.output!r}.")
+        if self.aggregation not in AGGREGATIONS:
+            raise InputError(f"model.aggregation must be one of {', '.join(AGGREGATIONS)}, not {self.aggregation!r}.")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SimulatorConfig:
         """Build the config from a mapping; a misspelt or missing key is named in an `InputError`."""
-        known = [field.name for field in dataclasses.fields(cls)]
+        fields = dataclasses.fields(cls)
+        known = [field.name for field in fields]
         unknown = [key for key in data if key not in known]
-        missing = [name for name in known if name not in data]
+        missing = [field.name for field in fields if field.default is dataclasses.MISSING and field.name not in data]
         if unknown or missing:
             what = f"unknown key {', '.join(unknown)}" if unknown else f"missing key {', '.join(missing)}"
             raise InputError(f"model: {what}; known are {', '.join(known)}.")
@@ -128,6 +136,8 @@ class Simulator(nn.Module):
             latent_size=config.latent_size,
             num_mlp_layers=config.num_mlp_layers,
             num_message_passing_steps=config.num_message_passing_steps,
+            aggregation=config.aggregation,
+            static_edges=config.static_edges,
         )
 
     def set_statistics(self, *, velocity: float, acceleration: float, material: Tensor) -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from gns_pl.data.sampler import POOL, StepSampler
@@ -7,13 +9,13 @@ from gns_pl.data.sampler import POOL, StepSampler
 
 def test_every_window_once_per_pass_in_a_new_order() -> None:
     batches = list(StepSampler(num_windows=12, batch_size=3, num_steps=8, seed=1))
-    first, second = [d.index for b in batches[:4] for d in b], [d.index for b in batches[4:] for d in b]
+    first, second = [d.window for b in batches[:4] for d in b], [d.window for b in batches[4:] for d in b]
     assert sorted(first) == sorted(second) == list(range(12))
     assert first != second
 
 
 def test_batches_may_straddle_passes() -> None:
-    indices = [d.index for batch in StepSampler(num_windows=5, batch_size=2, num_steps=5, seed=0) for d in batch]
+    indices = [d.window for batch in StepSampler(num_windows=5, batch_size=2, num_steps=5, seed=0) for d in batch]
     assert sorted(indices[:5]) == sorted(indices[5:]) == list(range(5))
 
 
@@ -53,12 +55,12 @@ def test_a_window_is_visited_in_order_and_at_equal_distances() -> None:
     met: dict[int, list[tuple[int, int, int]]] = {}
     for step, batch in enumerate(StepSampler(**VISITED)):
         for drawn in batch:
-            met.setdefault(drawn.number, []).append((step, drawn.visit, drawn.index))
+            met.setdefault(drawn.number, []).append((step, drawn.visit, drawn.window))
     whole = [visits for visits in met.values() if visits[0][1] == 0 and visits[0][0] < 7 * POOL]
     assert len(whole) > POOL
     for visits in whole:
         assert [visit for _, visit, _ in visits] == list(range(5))
-        assert {later[0] - step[0] for step, later in zip(visits, visits[1:], strict=False)} == {POOL}
+        assert {later[0] - step[0] for step, later in itertools.pairwise(visits)} == {POOL}
         assert len({index for *_, index in visits}) == 1
     indices = [visits[0][2] for number, visits in met.items() if number < VISITED["num_windows"]]
     assert len(set(indices)) == len(indices)  # a pass shows no window to two numbers

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -103,3 +104,18 @@ def test_a_later_visit_is_the_window_of_later_frames(paths: list[Path], in_memor
             assert torch.equal(later.position, plain.position)
             assert later.number.tolist() == [7] and later.visit.tolist() == [visit]
     assert len(all_frames) - len(visited) == len(paths) * 2
+
+
+def test_windows_in_which_something_moves_can_be_repeated(two: list[Trajectory], tmp_path: Path) -> None:
+    """What moves behind the latest frame counts: a body let go moves, one that has just stopped does not."""
+    position = np.repeat(two[0].position[:1], 9, axis=0)
+    position[4:] += np.float32(0.02 * two[0].dt)  # all particles, between frames 3 and 4
+    few = len(position[0]) // 100
+    position[7:, :few] += np.float32(1.0 * two[0].dt)
+    path = tmp_path / "moves.h5"
+    write_trajectory(path, dataclasses.replace(two[0], position=position, initial_velocity=two[0].initial_velocity * 0))
+    for in_memory in (True, False):
+        settings = {"input_sequence_length": 2, "num_targets": 1, "stride": 1, "in_memory": in_memory}
+        windows = WindowDataset([path], **settings, start_repeats=2, moving_repeats=3)
+        frames = [frame for _, frame in windows.index]
+        assert [frames.count(frame) for frame in range(8)] == [2, 1, 1, 3, 1, 1, 1, 1]

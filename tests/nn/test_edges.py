@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -19,7 +21,7 @@ def make_graph(nodes: int = 40, edges: int = 300) -> tuple[Tensor, Tensor, Tenso
     return node, torch.randn(edges, 4, generator=generator), torch.stack([sender, receiver])
 
 
-def make_network(num_mlp_layers: int, latent_size: int = 12) -> EncodeProcessDecode:
+def make_network(num_mlp_layers: int, latent_size: int = 12, **kind: Any) -> EncodeProcessDecode:
     torch.manual_seed(1)
     return EncodeProcessDecode(
         node_width=6,
@@ -28,6 +30,7 @@ def make_network(num_mlp_layers: int, latent_size: int = 12) -> EncodeProcessDec
         latent_size=latent_size,
         num_mlp_layers=num_mlp_layers,
         num_message_passing_steps=3,
+        **kind,
     )
 
 
@@ -42,9 +45,10 @@ def results(network: EncodeProcessDecode, node: Tensor, edge: Tensor, edge_index
 
 @pytest.mark.parametrize("num_mlp_layers", [1, 2])
 @pytest.mark.parametrize("edges", [300, 1, 0])
-def test_values_and_gradients_equal_the_plain_way(num_mlp_layers: int, edges: int) -> None:
+@pytest.mark.parametrize("kind", [{}, {"aggregation": "mean"}, {"static_edges": True}])
+def test_values_and_gradients_equal_the_plain_way(num_mlp_layers: int, edges: int, kind: dict[str, Any]) -> None:
     """The plain way in float64 is the truth; the compiled loops may be off by rounding in float32."""
-    graph, network = make_graph(edges=edges), make_network(num_mlp_layers)
+    graph, network = make_graph(edges=edges), make_network(num_mlp_layers, **kind)
     got = results(network, *graph)
     expected = results(network.double(), graph[0].double(), graph[1].double(), graph[2])
     for mine, truth in zip(got, expected, strict=True):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 
 from gns_pl.nn import EncodeProcessDecode, InteractionNetwork, mlp
@@ -57,3 +59,29 @@ def test_information_travels_one_edge_per_step() -> None:
         edge = torch.zeros(4, 1)
         touched = (network(node, edge, chain) != network(changed, edge, chain)).flatten().tolist()
         assert touched == [index <= steps for index in range(5)]
+
+
+def layered(**kind: Any) -> EncodeProcessDecode:
+    torch.manual_seed(0)
+    return EncodeProcessDecode(
+        node_width=6, edge_width=4, output_width=3, latent_size=8, num_mlp_layers=1, num_message_passing_steps=2, **kind
+    ).double()
+
+
+def test_a_mean_does_not_count_the_messages() -> None:
+    """Every edge twice: the same mean, another sum."""
+    node, edge, edge_index = torch.randn(6, 6).double(), torch.randn(12, 4).double(), torch.randint(0, 6, (2, 12))
+    doubled = edge.repeat(2, 1), edge_index.repeat(1, 2)
+    mean, total = layered(aggregation="mean"), layered()
+    torch.testing.assert_close(mean(node, *doubled), mean(node, edge, edge_index))
+    assert not torch.allclose(total(node, *doubled), total(node, edge, edge_index))
+
+
+def test_static_edges_stay_as_they_were_encoded() -> None:
+    node, edge, edge_index = torch.randn(6, 6).double(), torch.randn(12, 4).double(), torch.randint(0, 6, (2, 12))
+    network = layered(static_edges=True)
+    state, encoded = network.node_encoder(node), network.edge_encoder(edge)
+    for layer in network.processor:
+        state, _ = layer(state, encoded, edge_index)
+    torch.testing.assert_close(network(node, edge, edge_index), network.decoder(state))
+    assert not torch.allclose(layered()(node, edge, edge_index), network(node, edge, edge_index))

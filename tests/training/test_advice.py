@@ -37,6 +37,7 @@ TRAINING: dict[str, Any] = {
     "num_train": None,
     "stride": 1,
     "start_repeats": 2,
+    "moving_repeats": 1,
     "noise_std": 2e-4,
     "noise_free": 0.4,
     "strain_std": 0.06,

@@ -57,6 +57,7 @@ class TrajectoryDataModule(LightningDataModule):
         visits: how often each window is visited, each time `num_targets` steps later.
         stride: frames of the files in a step.
         start_repeats: how often windows at the start of a trajectory are listed.
+        moving_repeats: how often windows are listed in which something moves.
         num_workers: loader processes.
         memory_limit: the training set is kept in memory if its positions take no more than this [bytes].
         num_train: use only the first so many training trajectories; all if None.
@@ -77,6 +78,7 @@ class TrajectoryDataModule(LightningDataModule):
         visits: int,
         stride: int,
         start_repeats: int,
+        moving_repeats: int,
         num_workers: int,
         memory_limit: float,
         num_train: int | None,
@@ -92,6 +94,7 @@ class TrajectoryDataModule(LightningDataModule):
         self.visits = visits
         self.stride = stride
         self.start_repeats = start_repeats
+        self.moving_repeats = moving_repeats
         self.num_workers = num_workers
         self.seed = seed
         self._steps_made = 0
@@ -112,6 +115,7 @@ class TrajectoryDataModule(LightningDataModule):
                 visits=self.visits,
                 stride=self.stride,
                 start_repeats=self.start_repeats,
+                moving_repeats=self.moving_repeats,
                 in_memory=self.in_memory,
             )
 
@@ -167,7 +171,7 @@ class TrajectoryDataModule(LightningDataModule):
         """Return every window of a step's joined batch, those of all processes, as plain values and tensors."""
         windows = []
         for drawn in self._sampler().joined_batch(step):
-            which, frame = self.train_set.index[drawn.index]
+            which, frame = self.train_set.index[drawn.window]
             frame += drawn.visit * self.num_targets * self.stride
             tensors = self.train_set[drawn].to_dict()
             windows.append({**tensors, "number": drawn.number, "trajectory": self.train_names[which], "frame": frame})

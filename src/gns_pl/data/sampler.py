@@ -16,12 +16,12 @@ class Drawn(NamedTuple):
     """A window in a batch.
 
     Attributes:
-        index: of the window in the set, at its first visit.
+        window: its place in the set, as it is at the first visit.
         number: of the window in the training, the same at all its visits.
         visit: how often it has been visited before.
     """
 
-    index: int
+    window: int
     number: int
     visit: int
 
@@ -33,10 +33,10 @@ class StepSampler(Sampler[list[Drawn]]):
     Window k of the training is the k-th of them; whatever is random about it depends on the seed and k, so the joined
     batch is the same for any number of processes.
 
-    With one visit to each, slot j of step s holds window s `batch_size` + j. With V visits, `POOL` batches of windows are
-    under way at the same time; each of their places holds a window for V visits, `POOL` steps apart, then the next one.
-    Places change windows at different times, so that every batch has young and old ones. A window is always met by the
-    same process.
+    With one visit to each, slot j of step s holds window s `batch_size` + j. With V visits, `POOL` batches of windows
+    are under way at the same time; each of their places holds a window for V visits, `POOL` steps apart, then the next
+    one. Places change windows at different times, so that there are always young and old ones. A window is always met
+    by the same process.
 
     Args:
         num_windows: size of the set.

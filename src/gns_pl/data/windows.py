@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 from torch_geometric.data import Data
 
+from gns_pl.data.findings import MOVING_SHARE, SPEED_AT_REST
 from gns_pl.data.sampler import Drawn
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
@@ -28,7 +29,8 @@ class WindowDataset(Dataset[Data]):
     A trajectory has a window for every frame k = 0 … T − 1 − s U V, which holds the latest history position; with a
     stride s the frames before it and the U targets behind it are s frames apart. At its second visit of V a window
     begins U steps later, and so on. Windows whose history begins before the first frame are rare but decide how a scene
-    sets out, so they can be listed several times.
+    sets out, and in many sets half of the frames are at rest, which is soon learned; so the first ones, and those in
+    which something is about to move, can be listed several times.
 
     Args:
         paths: trajectory files.
@@ -37,6 +39,8 @@ class WindowDataset(Dataset[Data]):
         stride: s, frames of the files in a step.
         visits: V, how often a window may be visited.
         start_repeats: how often windows are listed whose history begins before the first frame.
+        moving_repeats: how often windows are listed in whose next frame more than `MOVING_SHARE` of the particles have
+            moved faster than `SPEED_AT_REST`; with those at the start it is the product of both.
         in_memory: keep all positions in memory; otherwise each window is read from its file.
 
     Raises:
@@ -52,6 +56,7 @@ class WindowDataset(Dataset[Data]):
         stride: int,
         visits: int = 1,
         start_repeats: int,
+        moving_repeats: int = 1,
         in_memory: bool,
     ) -> None:
         if not paths:
@@ -72,8 +77,11 @@ class WindowDataset(Dataset[Data]):
                 raise InputError(f"{path}: has {num_frames} frames; a window needs at least {reach + 1}.")
             if trajectory.scene.obstacles:
                 raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
+            moving = _moving(trajectory if in_memory else read_trajectory(path)) if moving_repeats > 1 else None
             for frame in range(num_frames - reach):
-                self.index += [(which, frame)] * (start_repeats if frame < self.before else 1)
+                repeats = start_repeats if frame < self.before else 1
+                repeats *= moving_repeats if moving is not None and moving[frame] else 1
+                self.index += [(which, frame)] * repeats
             past = ballistic_history(
                 trajectory.position[0], trajectory.initial_velocity, trajectory.dt, self.before + 1
             )
@@ -109,6 +117,14 @@ class WindowDataset(Dataset[Data]):
         """Return how many particles that a simulator moves a window has in the mean."""
         moved = [int((c["particle_type"] != int(ParticleType.KINEMATIC)).sum()) for c in self.constant]
         return sum(moved[which] for which, _ in self.index) / len(self.index)
+
+
+def _moving(trajectory: Trajectory) -> NDArray[np.bool_]:
+    """Return whether anything moves between each frame and the next [T − 1] bool."""
+    pairs = zip(trajectory.position[:-1], trajectory.position[1:], strict=True)
+    least = SPEED_AT_REST * trajectory.dt
+    fast = [float((np.linalg.norm(after - before, axis=1) > least).mean()) for before, after in pairs]
+    return np.array(fast) > MOVING_SHARE
 
 
 def _constant(trajectory: Trajectory) -> dict[str, torch.Tensor]:

@@ -20,6 +20,9 @@ class EncodeProcessDecode(nn.Module):
         latent_size: width of the states.
         num_mlp_layers: hidden layers of each MLP.
         num_message_passing_steps: number of interaction networks.
+        aggregation: of the messages at a node, "sum" or "mean".
+        static_edges: every interaction network sees the encoded edges; else the edges it gets are those that the one
+            before has updated.
 
     Attributes:
         compiled_edges: use the compiled loops of `nn.edges` where they can be used: float32 on the CPU, edges sorted
@@ -35,14 +38,17 @@ class EncodeProcessDecode(nn.Module):
         latent_size: int,
         num_mlp_layers: int,
         num_message_passing_steps: int,
+        aggregation: str = "sum",
+        static_edges: bool = False,
     ) -> None:
         super().__init__()
         self.node_encoder = mlp(node_width, latent_size, num_mlp_layers, latent_size, norm=True)
         self.edge_encoder = mlp(edge_width, latent_size, num_mlp_layers, latent_size, norm=True)
         self.processor = nn.ModuleList(
-            InteractionNetwork(latent_size, num_mlp_layers) for _ in range(num_message_passing_steps)
+            InteractionNetwork(latent_size, num_mlp_layers, aggregation) for _ in range(num_message_passing_steps)
         )
         self.decoder = mlp(latent_size, latent_size, num_mlp_layers, output_width, norm=False)
+        self.static_edges = static_edges
         self.compiled_edges = True
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
@@ -58,6 +64,8 @@ class EncodeProcessDecode(nn.Module):
         sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
         node, edge = self.node_encoder(node), self.edge_encoder(edge)
         for layer in self.processor:
-            node, edge = layer(node, edge, edge_index, sorted_edges, last=layer is self.processor[-1])
+            last = self.static_edges or layer is self.processor[-1]
+            node, updated = layer(node, edge, edge_index, sorted_edges, last=last)
+            edge = edge if self.static_edges else updated
         decoded: Tensor = self.decoder(node)
         return decoded

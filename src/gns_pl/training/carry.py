@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gns_pl.graph import Static
 
-LARGEST_ERROR = 3.0
+LARGEST_ERROR = 0.3
 """A window whose root mean square position error is larger is not carried on, but taken up from the truth again
 [spacings]. Early in a training that ends most windows after a visit or two, so that what is carried on grows longer as
 the network gets better; no schedule is needed."""

@@ -62,6 +62,7 @@ class TrainingConfig:
         num_train: training trajectories; None for all.
         stride: frames of the data in a step of the simulator.
         start_repeats: how often a pass shows the windows at the start of each trajectory.
+        moving_repeats: how often a pass shows the windows in which something moves.
         perturbation: noise.
         optimisation: the fit.
 
@@ -75,11 +76,12 @@ class TrainingConfig:
     num_train: int | None
     stride: int
     start_repeats: int
+    moving_repeats: int
     perturbation: Perturbation
     optimisation: Optimisation
 
     def __post_init__(self) -> None:
-        _check("training", self, batch_size=1, num_workers=0, stride=1, start_repeats=1)
+        _check("training", self, batch_size=1, num_workers=0, stride=1, start_repeats=1, moving_repeats=1)
         _check("training", self, memory_limit=0.0)
         if self.num_train is not None:
             _check("training", self, num_train=1)

@@ -111,7 +111,7 @@ class SimulatorModule(LightningModule):
         steps = self.optimisation["unroll_steps"] if late else 1
         truth = batch.position[:, : length + steps]
         if self.optimisation["symmetry"]:
-            truth, _, static = sample_symmetry(truth, truth[:, 0], static, draws)
+            truth, static = sample_symmetry(truth, static, draws)
         true_history, future = truth[:, :length], truth[:, length:]
         history, goal = self.perturb(true_history, future[:, 0], static, draws)
         restore, limit = self.perturb.restore, ERROR_UNDONE * self.simulator.config.spacing
@@ -141,7 +141,7 @@ class SimulatorModule(LightningModule):
 
     def _late(self) -> bool:
         """Return whether windows are followed for several steps by now."""
-        return self.global_step >= self.optimisation["unroll_from"] * self.optimisation["num_steps"]
+        return bool(self.global_step >= self.optimisation["unroll_from"] * self.optimisation["num_steps"])
 
     def on_validation_epoch_start(self) -> None:
         """Begin a new table of errors."""

@@ -202,6 +202,7 @@ def build_data(directory: Path, training: TrainingConfig, length: int, seed: int
         visits=training.optimisation.visits,
         stride=training.stride,
         start_repeats=training.start_repeats,
+        moving_repeats=training.moving_repeats,
         num_workers=training.num_workers,
         memory_limit=training.memory_limit,
         num_train=training.num_train,

@@ -71,4 +71,5 @@ def desired(position: Tensor, true: Tensor, following: Tensor, restore: float, l
     """
     error = position - true
     undone = restore * error * (limit / error.norm(dim=1, keepdim=True).clamp(min=limit))
-    return following + error - undone
+    goal: Tensor = following + error - undone
+    return goal
