@@ -17,20 +17,21 @@ def test_a_layer_has_the_depth_below_its_surface(dim: int) -> None:
     position = layer(dim, 0.6, 0.05)
     corners = torch.zeros(1, dim).double(), torch.ones(1, dim).double()
     batch = torch.zeros(len(position), dtype=torch.int64)
-    thickness, _ = context_fields(
+    thickness, empty, _ = context_fields(
         position, *corners, batch, cell=0.1, volume=torch.full((len(position),), 0.05**dim).double()
     )
     inside = ((position[:, :-1] > 0.15) & (position[:, :-1] < 0.85)).all(dim=1) & (position[:, -1] < 0.45)
     depth = 0.6 - position[:, -1]
     assert (thickness - depth)[inside].abs().max() < 0.03
     assert thickness.min() >= 0 and thickness.max() < 0.62
+    assert empty[inside].abs().max() < 0.01
 
 
 def test_total_is_conserved_and_boxes_are_apart() -> None:
     """Two boxes: what lies in one is not felt in the other; a lone particle feels half of itself at most."""
-    position = torch.tensor([[0.5, 0.5, 0.1], [0.5, 0.5, 0.9], [0.5, 0.5, 0.1]])
+    position = torch.tensor([[0.5, 0.5, 0.1], [0.5, 0.5, 0.9], [0.5, 0.2, 0.1]])
     corners = torch.zeros(2, 3), torch.tensor([[1.0, 1.0, 1.0], [1.5, 0.5, 0.7]])
-    thickness, _ = context_fields(position, *corners, torch.tensor([0, 0, 1]), cell=0.1, volume=torch.tensor(1e-3))
+    thickness, _, _ = context_fields(position, *corners, torch.tensor([0, 0, 1]), cell=0.1, volume=torch.tensor(1e-3))
     assert thickness[0] > thickness[2] > 0
     assert thickness[0] == pytest.approx(float(thickness[2]) + 0.1, abs=0.02)
 
@@ -44,14 +45,15 @@ def test_it_is_continuous_where_particles_cross_cells() -> None:
         moved = base.clone()
         moved[:, 0] += 0.05 + shift  # lattice points at multiples of the cell
         values += context_fields(moved, *corners, batch, cell=0.1, volume=torch.tensor(1e-3))
-    torch.testing.assert_close(values[0], values[2], atol=1e-4, rtol=0)
-    torch.testing.assert_close(values[1], values[3], atol=1e-3, rtol=0)
+    torch.testing.assert_close(values[0], values[3], atol=1e-4, rtol=0)
+    torch.testing.assert_close(values[2], values[5], atol=1e-3, rtol=0)
+    torch.testing.assert_close(values[1], values[4], atol=1e-4, rtol=0)
 
 
 def test_particles_outside_the_box_are_taken_to_its_edge() -> None:
     position = torch.tensor([[-0.2, 0.5, 0.5], [1.3, 0.5, 1.7]])
     corners = torch.zeros(1, 3), torch.ones(1, 3)
-    thickness, _ = context_fields(
+    thickness, _, _ = context_fields(
         position, *corners, torch.zeros(2, dtype=torch.int64), cell=0.1, volume=torch.tensor(1e-3)
     )
     assert torch.isfinite(thickness).all()
@@ -65,9 +67,22 @@ def test_a_sound_layer_has_solid_fraction_one_up_to_the_walls(dim: int, cell: fl
     corners = torch.zeros(1, dim).double(), torch.ones(1, dim).double()
     batch = torch.zeros(len(position), dtype=torch.int64)
     volume = torch.full((len(position),), (0.02 if dim == 2 else 0.04) ** dim).double()
-    _, fraction = context_fields(position, *corners, batch, cell=cell, volume=volume)
+    _, _, fraction = context_fields(position, *corners, batch, cell=cell, volume=volume)
     below = position[:, -1] < 0.45
     assert (fraction[below] - 1).abs().max() < 0.2 and fraction[below].mean() == pytest.approx(1, abs=0.03)
     squeezed = position * torch.tensor([*[1.0] * (dim - 1), 0.9])
-    _, denser = context_fields(squeezed, *corners, batch, cell=cell, volume=volume)
+    _, _, denser = context_fields(squeezed, *corners, batch, cell=cell, volume=volume)
     assert float(denser[below].mean() / fraction[below].mean()) == pytest.approx(1 / 0.9, rel=0.03)
+
+
+@pytest.mark.parametrize("gap", [0.05, 0.13, 0.3])
+def test_a_lifted_body_has_the_gap_below_it(gap: float) -> None:
+    position = layer(3, 0.4, 0.05)
+    position[:, -1] += gap
+    corners = torch.zeros(1, 3).double(), torch.ones(1, 3).double()
+    batch = torch.zeros(len(position), dtype=torch.int64)
+    volume = torch.full((len(position),), 0.05**3).double()
+    thickness, empty, _ = context_fields(position, *corners, batch, cell=0.1, volume=volume)
+    inside = (position[:, -1] > gap + 0.1) & (position[:, -1] < gap + 0.3)
+    assert (empty[inside] - gap).abs().max() < 0.02
+    assert (thickness[inside] - (0.4 + gap - position[inside, -1])).abs().max() < 0.02

@@ -1,7 +1,8 @@
-"""What a particle cannot see through a few message-passing steps: the material above it, and how dense it lies.
+"""What a particle cannot see through a few message-passing steps: what lies above and below, and how densely.
 
 Over a step of 10 ms pressure crosses a whole column, while a few message-passing steps reach a few spacings. The
 thickness of the overburden, and its differences between neighbours, carry that information at the cost of a sum. The
+empty height below tells a body in the air from one that stands, and when it will land, whatever its size. The
 solid fraction is the mean over a few dozen particles, which tells a sunken heap from a sound one where the irregular
 places of the nearest neighbours do not.
 """
@@ -16,12 +17,14 @@ from torch import Tensor
 
 def context_fields(
     position: Tensor, lower: Tensor, upper: Tensor, batch: Tensor, *, cell: float, volume: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return the thickness of material above every particle, and the solid fraction around it.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the thickness of material above every particle, the empty height below, and the solid fraction around.
 
-    The particles' volumes are spread to the nodes of a grid with multilinear weights. Summed from the top down along
-    the last axis and divided by the area of a cell they give the thickness, divided by the part of each node's cell
-    that lies in the box the fraction; both are interpolated back with the same weights.
+    The particles' volumes are spread to the nodes of a grid with multilinear weights. Divided by the part of each node's
+    cell that lies in the box they give the solid fraction, and that times the heights of the cells, summed along the
+    last axis, thicknesses: a node's own cell counts half to what lies above it and half below, on the floor all above.
+    All are interpolated back with the same weights. The empty height is that of the particle over the floor less the
+    thickness below.
 
     Args:
         position: [N, D] [m].
@@ -32,7 +35,8 @@ def context_fields(
         volume: volume that every particle stands for [N] [m^D].
 
     Returns:
-        Thickness [N] [m], averaged over about a cell, and solid fraction [N], 1 where nothing is squeezed or opened.
+        Thickness above [N] [m] and empty height below [N] [m], averaged over about a cell, the latter near zero where
+        material rests on the floor; and solid fraction [N], 1 where nothing is squeezed or opened.
     """
     dim = position.shape[1]
     cells = ((upper - lower) / cell).round().clamp(min=1.0)
@@ -55,14 +59,21 @@ def context_fields(
     shape = (boxes * int(nodes[:-1].prod()), int(nodes[-1]))
     filled = torch.zeros(shape[0] * shape[1], dtype=position.dtype, device=position.device)
     filled = filled.index_add(0, corner_index.flatten(), (weight * volume).flatten()).view(shape)
-    above = filled.flip(1).cumsum(1).flip(1) - 0.5 * filled
-    room = edge.prod(dim=1).view(boxes, *(1,) * dim)
+    room = torch.ones((), dtype=position.dtype, device=position.device)
     for axis in range(dim):
         node = torch.arange(int(nodes[axis]), device=position.device)
         face = (node == 0) | (node == cells[:, axis, None])  # half of a node's cell lies outside
-        share = torch.where(face, 0.5, 1.0).to(position.dtype)
-        room = room * share.view(boxes, *[-1 if other == axis else 1 for other in range(dim)])
-    dense = filled / room.reshape(shape)
-    area = edge[:, :-1].prod(dim=1)[batch]
-    thickness = (above.flatten()[corner_index] * weight).sum(dim=0) / area
-    return thickness, (dense.flatten()[corner_index] * weight).sum(dim=0)
+        extent = edge[:, axis, None] * torch.where(face, 0.5, 1.0).to(position.dtype)
+        extent = extent.view(boxes, *[-1 if other == axis else 1 for other in range(dim)])
+        room = room * extent
+    dense = filled / room.expand(boxes, *nodes.tolist()).reshape(shape)
+    layer = dense * extent.expand(boxes, *nodes.tolist()).reshape(shape)  # of the last axis
+    below = layer.cumsum(1) - 0.5 * layer
+    below[:, 0] = 0.0
+    above = layer.sum(dim=1, keepdim=True) - below
+
+    def at_particles(nodal: Tensor) -> Tensor:
+        return (nodal.flatten()[corner_index] * weight).sum(dim=0)
+
+    empty = place[:, -1] * edge[batch, -1] - at_particles(below)
+    return at_particles(above), empty, at_particles(dense)

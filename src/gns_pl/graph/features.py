@@ -52,13 +52,16 @@ REACH = 4.0
 """The distance to the floor is cut at this many connectivity radii where context is wanted. Only the floor's: a far
 side wall would be one more thing that a narrower or wider box than those of the data shows in a new way."""
 
+EMPTY = 2.0
+"""The empty height below is cut at this many connectivity radii; a body higher up falls freely for some steps."""
+
 
 def node_width(
     *, dim: int, input_sequence_length: int, num_particle_types: int, num_material_features: int, context: bool
 ) -> int:
     """Return F of `node_features`."""
     types = num_particle_types if num_particle_types > 1 else 0
-    return (input_sequence_length - 1) * dim + 2 * dim + 3 * int(context) + types + num_material_features
+    return (input_sequence_length - 1) * dim + 2 * dim + 4 * int(context) + types + num_material_features
 
 
 def node_features(
@@ -82,7 +85,8 @@ def node_features(
         radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
         particle_types: the types that occur; coded one-hot if there are several.
         material_scale: [2, K] mean and standard deviation of the material features.
-        context: add the distance to the floor within `REACH` radii, the overburden and the solid fraction.
+        context: add the distance to the floor within `REACH` radii, the overburden, the empty height below within
+            `EMPTY` radii and the solid fraction.
 
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
@@ -92,11 +96,12 @@ def node_features(
     walls = torch.cat([to_lower, to_upper], dim=1) / radius
     parts = [(velocity / velocity_scale).flatten(1), walls.clamp(-1, 1)]
     if context:
-        thickness, fraction = context_fields(
+        thickness, empty, fraction = context_fields(
             position, static.lower, static.upper, static.batch, cell=radius, volume=static.volume
         )
         floor = (to_lower[:, -1] / (REACH * radius)).clamp(-1, 1)
-        parts.append(torch.stack([floor, thickness / (REACH * radius), 2 * fraction], dim=1))
+        empty = (empty / radius).clamp(-EMPTY, EMPTY)
+        parts.append(torch.stack([floor, thickness / (REACH * radius), empty, 2 * fraction], dim=1))
     if len(particle_types) > 1:
         known = torch.tensor(particle_types, device=position.device)
         parts.append((static.particle_type[:, None] == known).to(position.dtype))

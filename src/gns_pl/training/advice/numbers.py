@@ -71,8 +71,10 @@ def compute_advice(
     perturbation = training.perturbation
     walk, coherent = target_noise(perturbation, model.input_sequence_length)
     variance = walk + coherent + (motion.acceleration_std * motion.dt**2) ** 2
-    early = training.start_repeats * sizes.num_early_windows
-    windows = sizes.num_windows - sizes.num_early_windows + early
+    shown = training.moving_repeats  # of what moves; bodies that set out do
+    early = training.start_repeats * shown * sizes.num_early_windows
+    later = (sizes.num_windows - sizes.num_early_windows) * (1 + (shown - 1) * motion.frames_moving)
+    windows = early + round(later)
     step_length = motion.velocity_std * motion.dt
     return Advice(
         survey=survey,
