@@ -20,9 +20,9 @@ def context_fields(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return the thickness of material above every particle, the empty height below, and the solid fraction around.
 
-    The particles' volumes are spread to the nodes of a grid with multilinear weights. Divided by the part of each node's
-    cell that lies in the box they give the solid fraction, and that times the heights of the cells, summed along the
-    last axis, thicknesses: a node's own cell counts half to what lies above it and half below, on the floor all above.
+    The particles' volumes are spread to the nodes of a grid with multilinear weights. Divided by the part of each
+    node's cell that lies in the box they give the solid fraction, and that times the heights of the cells, summed along
+    the last axis, thicknesses: a node's own cell counts half to what lies above it, half below; on the floor all above.
     All are interpolated back with the same weights. The empty height is that of the particle over the floor less the
     thickness below.
 

@@ -183,8 +183,8 @@ def _rest(advice: Advice) -> Suggestion | None:
     motion = advice.survey.motion
     if motion.frames_moving < MOVING_FRAMES and advice.training.moving_repeats == 1:
         return Suggestion(
-            f"in {percent(1 - motion.frames_moving)} of the frames nothing moves, which is soon learned; show the others "
-            "more often, or shorten data.families.NAME.duration.",
+            f"in {percent(1 - motion.frames_moving)} of the frames nothing moves, which is soon learned; show the "
+            "others more often, or shorten data.families.NAME.duration.",
             "training.moving_repeats=4",
         )
     if motion.moving_at_end > MOVING_AT_END:
