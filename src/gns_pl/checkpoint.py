@@ -20,7 +20,7 @@ from gns_pl.io import atomic_path
 from gns_pl.simulator import Simulator, SimulatorConfig
 
 KEY = "gns_pl"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 PREFIX = "simulator."
 
 
@@ -80,7 +80,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     """Read a checkpoint, from the trainer or from `save_checkpoint`, under `weights_only=True`.
 
     Raises:
-        InputError: no such file, not one of our checkpoints, or one of a newer format; the file is named.
+        InputError: no such file, not one of our checkpoints, or of a format this version does not read; the file is named.
     """
     content = read_content(path)
     entry = content[KEY]
@@ -88,6 +88,10 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         raise InputError(
             f"{path}: has format {entry['format_version']}, this version of gns_pl reads up to {FORMAT_VERSION}; "
             "install a newer gns_pl."
+        )
+    if entry["format_version"] == 1 and entry["config"]["context"]:
+        raise InputError(
+            f"{path}: was trained with model.context before its features were mended (format 1); train it anew."
         )
     simulator = Simulator(SimulatorConfig.from_dict(entry["config"]))
     weights = {
