@@ -80,7 +80,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     """Read a checkpoint, from the trainer or from `save_checkpoint`, under `weights_only=True`.
 
     Raises:
-        InputError: no such file, not one of our checkpoints, or of a format this version does not read; the file is named.
+        InputError: no such file, not one of our checkpoints, or of a format that is not read; the file is named.
     """
     content = read_content(path)
     entry = content[KEY]
