@@ -56,6 +56,8 @@ class PlainNetwork(nn.Module):
         super().__init__()
         network = copy.deepcopy(network)
         self.node_encoder, self.edge_encoder = network.node_encoder, network.edge_encoder
+        self.static_edges = network.static_edges
+        self.averages = any(layer.averages for layer in network.processor)
         self.edge_mlps, self.node_mlps, self.decoder = nn.ModuleList(), nn.ModuleList(), network.decoder
         for layer in network.processor:
             parts = (layer.sender.weight, layer.receiver.weight, layer.edge_mlp[0].weight)
@@ -73,7 +75,11 @@ class PlainNetwork(nn.Module):
         for edge_mlp, node_mlp in zip(self.edge_mlps, self.node_mlps, strict=True):
             message = edge_mlp(torch.cat([node[sender], node[receiver], edge], dim=1))
             received = torch.zeros_like(node).index_add(0, receiver, message)
-            node, edge = node + node_mlp(torch.cat([received, node], dim=1)), edge + message
+            if self.averages:
+                received = received / torch.bincount(receiver, minlength=len(node)).clamp(min=1)[:, None]
+            node = node + node_mlp(torch.cat([received, node], dim=1))
+            if not self.static_edges:
+                edge = edge + message
         decoded: Tensor = self.decoder(node)
         return decoded
 
