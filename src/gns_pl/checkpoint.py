@@ -20,7 +20,7 @@ from gns_pl.io import atomic_path
 from gns_pl.simulator import Simulator, SimulatorConfig
 
 KEY = "gns_pl"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 PREFIX = "simulator."
 
 

@@ -45,6 +45,7 @@ TRAINING: dict[str, Any] = {
     "restore": 0.2,
     "optimisation": {
         "num_steps": 1000,
+        "optimiser": "adamw",
         "learning_rate": 1e-3,
         "final_factor": 0.1,
         "weight_decay": 0.0,

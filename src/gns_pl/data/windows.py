@@ -28,9 +28,9 @@ class WindowDataset(Dataset[Data]):
 
     A trajectory has a window for every frame k = 0 … T − 1 − s U V, which holds the latest history position; with a
     stride s the frames before it and the U targets behind it are s frames apart. At its second visit of V a window
-    begins U steps later, and so on. Windows whose history begins before the first frame are rare but decide how a scene
-    sets out, and in many sets half of the frames are at rest, which is soon learned; so the first ones, and those in
-    which something is about to move, can be listed several times.
+    begins U steps later, and so on. How a scene sets out takes few frames but decides the rest, and in many sets half of
+    the frames are at rest, which is soon learned; so the windows while a scene sets out, and those in which something is
+    about to move, can be listed several times.
 
     Args:
         paths: trajectory files.
@@ -38,7 +38,8 @@ class WindowDataset(Dataset[Data]):
         num_targets: U, frames behind the history.
         stride: s, frames of the files in a step.
         visits: V, how often a window may be visited.
-        start_repeats: how often windows are listed whose history begins before the first frame.
+        start_repeats: how often windows are listed while the scene sets out: whose history begins before the first frame
+            or that lie before the largest kinetic energy.
         moving_repeats: how often windows are listed in whose next frame more than `MOVING_SHARE` of the particles have
             moved faster than `SPEED_AT_REST`; with those at the start it is the product of both.
         in_memory: keep all positions in memory; otherwise each window is read from its file.
@@ -77,11 +78,13 @@ class WindowDataset(Dataset[Data]):
                 raise InputError(f"{path}: has {num_frames} frames; a window needs at least {reach + 1}.")
             if trajectory.scene.obstacles:
                 raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
-            moving = _moving(trajectory if in_memory else read_trajectory(path)) if moving_repeats > 1 else None
+            repeats = np.ones(num_frames - 1, dtype=int)
+            if start_repeats > 1 or moving_repeats > 1:
+                speeds = _speeds(trajectory if in_memory else read_trajectory(path))
+                repeats[: max(self.before, int(np.square(speeds).mean(axis=1).argmax()))] *= start_repeats
+                repeats[(speeds > SPEED_AT_REST).mean(axis=1) > MOVING_SHARE] *= moving_repeats
             for frame in range(num_frames - reach):
-                repeats = start_repeats if frame < self.before else 1
-                repeats *= moving_repeats if moving is not None and moving[frame] else 1
-                self.index += [(which, frame)] * repeats
+                self.index += [(which, frame)] * int(repeats[frame])
             past = ballistic_history(
                 trajectory.position[0], trajectory.initial_velocity, trajectory.dt, self.before + 1
             )
@@ -119,12 +122,10 @@ class WindowDataset(Dataset[Data]):
         return sum(moved[which] for which, _ in self.index) / len(self.index)
 
 
-def _moving(trajectory: Trajectory) -> NDArray[np.bool_]:
-    """Return whether anything moves between each frame and the next [T − 1] bool."""
+def _speeds(trajectory: Trajectory) -> NDArray[np.float32]:
+    """Return every particle's speed between each frame and the next [T − 1, N] [m/s]."""
     pairs = zip(trajectory.position[:-1], trajectory.position[1:], strict=True)
-    least = SPEED_AT_REST * trajectory.dt
-    fast = [float((np.linalg.norm(after - before, axis=1) > least).mean()) for before, after in pairs]
-    return np.array(fast) > MOVING_SHARE
+    return np.stack([np.linalg.norm(after - before, axis=1) for before, after in pairs]) / np.float32(trajectory.dt)
 
 
 def _constant(trajectory: Trajectory) -> dict[str, torch.Tensor]:

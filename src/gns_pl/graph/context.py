@@ -1,8 +1,8 @@
 """What a particle cannot see through a few message-passing steps: what lies above and below, and how densely.
 
 Over a step of 10 ms pressure crosses a whole column, while a few message-passing steps reach a few spacings. The
-thickness of the overburden, and its differences between neighbours, carry that information at the cost of a sum. The
-empty height below tells a body in the air from one that stands, and when it will land, whatever its size. The
+thickness of the overburden, and its differences between neighbours, carry that information at the cost of a sum; so does
+the overburden's momentum, which has to be stopped by what lies below. The empty height below tells a body in the air from one that stands, and when it will land, whatever its size. The
 solid fraction is the mean over a few dozen particles, which tells a sunken heap from a sound one where the irregular
 places of the nearest neighbours do not.
 """
@@ -16,18 +16,19 @@ from torch import Tensor
 
 
 def context_fields(
-    position: Tensor, lower: Tensor, upper: Tensor, batch: Tensor, *, cell: float, volume: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the thickness of material above every particle, the empty height below, and the solid fraction around.
+    position: Tensor, velocity: Tensor, lower: Tensor, upper: Tensor, batch: Tensor, *, cell: float, volume: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return thickness and momentum of the material above every particle, empty height below, solid fraction around.
 
-    The particles' volumes are spread to the nodes of a grid with multilinear weights. Divided by the part of each
-    node's cell that lies in the box they give the solid fraction, and that times the heights of the cells, summed along
-    the last axis, thicknesses: a node's own cell counts half to what lies above it, half below; on the floor all above.
-    All are interpolated back with the same weights. The empty height is that of the particle over the floor less the
-    thickness below.
+    The particles' volumes, and these times their velocities, are spread to the nodes of a grid with multilinear weights.
+    Divided by the part of each node's cell that lies in the box they give the solid fraction (and a density of momentum),
+    and that times the heights of the cells, summed along the last axis, thicknesses: a node's own cell counts half to
+    what lies above it, half below; on the floor all above. All are interpolated back with the same weights. The empty
+    height is that of the particle over the floor less the thickness below.
 
     Args:
         position: [N, D] [m].
+        velocity: [N, D] [m/s].
         lower: lower corner of every box [B, D] [m].
         upper: upper corner of every box [B, D] [m].
         batch: box of every particle [N].
@@ -35,8 +36,9 @@ def context_fields(
         volume: volume that every particle stands for [N] [m^D].
 
     Returns:
-        Thickness above [N] [m] and empty height below [N] [m], averaged over about a cell, the latter near zero where
-        material rests on the floor; and solid fraction [N], 1 where nothing is squeezed or opened.
+        Thickness above [N] [m]; the velocity integrated over it [N, D] [m²/s]; empty height below [N] [m], near zero
+        where material rests on the floor; all averaged over about a cell; and solid fraction [N], 1 where nothing is
+        squeezed or opened.
     """
     dim = position.shape[1]
     cells = ((upper - lower) / cell).round().clamp(min=1.0)
@@ -54,11 +56,12 @@ def context_fields(
         for axis in range(dim):
             index = index * nodes[axis] + base[:, axis].long() + offset[axis]
         corners.append(index)
-    corner_index, weight = torch.stack(corners), torch.stack(weights)
+    corner_index, weight = torch.cat(corners), torch.stack(weights)[:, :, None]
     boxes = len(lower)
-    shape = (boxes * int(nodes[:-1].prod()), int(nodes[-1]))
-    filled = torch.zeros(shape[0] * shape[1], dtype=position.dtype, device=position.device)
-    filled = filled.index_add(0, corner_index.flatten(), (weight * volume).flatten()).view(shape)
+    shape = (boxes * int(nodes[:-1].prod()), int(nodes[-1]), 1)
+    carried = volume[:, None] * torch.cat([torch.ones_like(velocity[:, :1]), velocity], dim=1)
+    filled = torch.zeros(shape[0] * shape[1], 1 + dim, dtype=position.dtype, device=position.device)
+    filled = filled.index_add(0, corner_index, (weight * carried).flatten(0, 1)).view(*shape[:2], 1 + dim)
     room = torch.ones((), dtype=position.dtype, device=position.device)
     for axis in range(dim):
         node = torch.arange(int(nodes[axis]), device=position.device)
@@ -71,9 +74,9 @@ def context_fields(
     below = layer.cumsum(1) - 0.5 * layer
     below[:, 0] = 0.0
     above = layer.sum(dim=1, keepdim=True) - below
-
-    def at_particles(nodal: Tensor) -> Tensor:
-        return (nodal.flatten()[corner_index] * weight).sum(dim=0)
-
-    empty = place[:, -1] * edge[batch, -1] - at_particles(below)
-    return at_particles(above), empty, at_particles(dense)
+    nodal = torch.cat([above, below[..., :1], dense[..., :1]], dim=2).flatten(0, 1)
+    # index_select, as the gradient of plain indexing is slow on a CPU.
+    gathered = nodal.index_select(0, corner_index).view(len(weight), len(position), dim + 3)
+    thickness, momentum, under, solid = (gathered * weight).sum(dim=0).split([1, dim, 1, 1], dim=1)
+    empty = place[:, -1] * edge[batch, -1] - under[:, 0]
+    return thickness[:, 0], momentum, empty, solid[:, 0]

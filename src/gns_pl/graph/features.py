@@ -61,7 +61,7 @@ def node_width(
 ) -> int:
     """Return F of `node_features`."""
     types = num_particle_types if num_particle_types > 1 else 0
-    return (input_sequence_length - 1) * dim + 2 * dim + 4 * int(context) + types + num_material_features
+    return (input_sequence_length - 1) * dim + 2 * dim + (4 + dim) * int(context) + types + num_material_features
 
 
 def node_features(
@@ -85,8 +85,8 @@ def node_features(
         radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
         particle_types: the types that occur; coded one-hot if there are several.
         material_scale: [2, K] mean and standard deviation of the material features.
-        context: add the distance to the floor within `REACH` radii, the overburden, the empty height below within
-            `EMPTY` radii and the solid fraction.
+        context: add the distance to the floor within `REACH` radii, thickness and momentum of the overburden, the empty
+            height below within `EMPTY` radii and the solid fraction.
 
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
@@ -96,12 +96,13 @@ def node_features(
     walls = torch.cat([to_lower, to_upper], dim=1) / radius
     parts = [(velocity / velocity_scale).flatten(1), walls.clamp(-1, 1)]
     if context:
-        thickness, empty, fraction = context_fields(
-            position, static.lower, static.upper, static.batch, cell=radius, volume=static.volume
+        thickness, momentum, empty, fraction = context_fields(
+            position, velocity[:, -1], static.lower, static.upper, static.batch, cell=radius, volume=static.volume
         )
         floor = (to_lower[:, -1] / (REACH * radius)).clamp(-1, 1)
         empty = (empty / radius).clamp(-EMPTY, EMPTY)
         parts.append(torch.stack([floor, thickness / (REACH * radius), empty, 2 * fraction], dim=1))
+        parts.append(momentum / (REACH * radius * velocity_scale))
     if len(particle_types) > 1:
         known = torch.tensor(particle_types, device=position.device)
         parts.append((static.particle_type[:, None] == known).to(position.dtype))

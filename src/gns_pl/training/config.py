@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gns_pl.errors import InputError
+from gns_pl.training.optimiser import OPTIMISERS
 from gns_pl.training.perturbation import Perturbation
 
 
@@ -17,9 +18,10 @@ class Optimisation:
 
     Attributes:
         num_steps: training steps in all.
+        optimiser: "adamw", or "muon" for the matrices and AdamW for the rest (`training.optimiser`).
         learning_rate: its largest value, after the warm-up.
         final_factor: share of it that is left at the end.
-        weight_decay: of AdamW.
+        weight_decay: of the optimiser.
         warmup_steps: linear rise of the learning rate.
         huber_delta: of the loss, in units of the acceleration scale; None for the mean squared error.
         symmetry: mirror and exchange the horizontal axes at random.
@@ -33,6 +35,7 @@ class Optimisation:
     """
 
     num_steps: int
+    optimiser: str
     learning_rate: float
     final_factor: float
     weight_decay: float
@@ -47,6 +50,10 @@ class Optimisation:
         _check("training.optimisation", self, num_steps=1, warmup_steps=0, unroll_steps=1, visits=1)
         _check("training.optimisation", self, unroll_from=0.0)
         _check("training.optimisation", self, learning_rate=0.0, final_factor=0.0, weight_decay=0.0)
+        if self.optimiser not in OPTIMISERS:
+            raise InputError(
+                f"training.optimisation.optimiser must be one of {', '.join(OPTIMISERS)}, not {self.optimiser!r}."
+            )
         if self.huber_delta is not None:
             _check("training.optimisation", self, huber_delta=1e-6)
 

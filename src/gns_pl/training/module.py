@@ -17,6 +17,7 @@ from gns_pl.graph import Draws, Static
 from gns_pl.rollout import rollout
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.training.carry import CarriedHistories
+from gns_pl.training.optimiser import MuonAndAdamW
 from gns_pl.training.perturbation import Perturbation
 from gns_pl.training.symmetry import sample_symmetry
 from gns_pl.training.unroll import desired, unrolled_loss
@@ -163,11 +164,14 @@ class SimulatorModule(LightningModule):
             self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED, sync_dist=True)
 
     def configure_optimizers(self) -> Any:
-        """Return AdamW with warm-up and cosine, stepped every step."""
+        """Return the optimiser with warm-up and cosine, stepped every step."""
         settings = self.optimisation
-        optimizer = torch.optim.AdamW(
-            self.parameters(), lr=settings["learning_rate"], weight_decay=settings["weight_decay"], fused=True
-        )
+        rate, decay = settings["learning_rate"], settings["weight_decay"]
+        optimizer: torch.optim.Optimizer
+        if settings["optimiser"] == "muon":
+            optimizer = MuonAndAdamW(self, lr=rate, weight_decay=decay)
+        else:
+            optimizer = torch.optim.AdamW(self.parameters(), lr=rate, weight_decay=decay, fused=True)
         scheduler = torch.optim.lr_scheduler.LambdaLR(
             optimizer,
             lambda step: learning_rate_factor(
