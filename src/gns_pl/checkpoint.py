@@ -89,9 +89,10 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
             f"{path}: has format {entry['format_version']}, this version of gns_pl reads up to {FORMAT_VERSION}; "
             "install a newer gns_pl."
         )
-    if entry["format_version"] == 1 and entry["config"]["context"]:
+    if entry["format_version"] < 3 and entry["config"]["context"]:
         raise InputError(
-            f"{path}: was trained with model.context before its features were mended (format 1); train it anew."
+            f"{path}: was trained with other features of model.context (format {entry['format_version']}); "
+            "train it anew."
         )
     simulator = Simulator(SimulatorConfig.from_dict(entry["config"]))
     weights = {

@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch_geometric.loader import DataLoader
 
-from gns_pl.data.sampler import Drawn
 from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
 from gns_pl.io import write_trajectory
@@ -92,20 +91,6 @@ def test_refusals(tmp_path: Path, drop: Scene) -> None:
         )
 
 
-@pytest.mark.parametrize("in_memory", [True, False])
-def test_a_later_visit_is_the_window_of_later_frames(paths: list[Path], in_memory: bool) -> None:
-    settings = {"input_sequence_length": 3, "num_targets": 1, "start_repeats": 1, "in_memory": in_memory}
-    all_frames = WindowDataset(paths, **settings, stride=1)
-    visited = WindowDataset(paths, **settings, stride=1, visits=3)
-    for index, (which, frame) in enumerate(visited.index):
-        for visit in range(3):
-            later = visited[Drawn(index, 7, visit)]
-            plain = all_frames[all_frames.index.index((which, frame + visit))]
-            assert torch.equal(later.position, plain.position)
-            assert later.number.tolist() == [7] and later.visit.tolist() == [visit]
-    assert len(all_frames) - len(visited) == len(paths) * 2
-
-
 def test_windows_in_which_something_moves_can_be_repeated(two: list[Trajectory], tmp_path: Path) -> None:
     """What moves behind the latest frame counts: a body let go moves, one that has just stopped does not."""
     position = np.repeat(two[0].position[:1], 9, axis=0)
@@ -118,4 +103,5 @@ def test_windows_in_which_something_moves_can_be_repeated(two: list[Trajectory],
         settings = {"input_sequence_length": 2, "num_targets": 1, "stride": 1, "in_memory": in_memory}
         windows = WindowDataset([path], **settings, start_repeats=2, moving_repeats=3)
         frames = [frame for _, frame in windows.index]
-        assert [frames.count(frame) for frame in range(8)] == [2, 1, 1, 3, 1, 1, 1, 1]
+        # Nothing is faster than between frames 3 and 4: until there it sets out.
+        assert [frames.count(frame) for frame in range(8)] == [2, 2, 2, 3, 1, 1, 1, 1]

@@ -89,7 +89,6 @@ def test_the_one_to_train_on_is_returned_and_opens(root: Path, every: int | None
         input_sequence_length=3,
         num_targets=1,
         stride=1,
-        visits=1,
         start_repeats=1,
         moving_repeats=1,
         num_workers=0,

@@ -54,7 +54,6 @@ TRAINING: dict[str, Any] = {
         "symmetry": True,
         "unroll_steps": 1,
         "unroll_from": 0.5,
-        "visits": 1,
     },
 }
 

@@ -17,16 +17,13 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.strategies import DDPStrategy
 from omegaconf import DictConfig
 
-from gns_pl.data import sampler
 from gns_pl.errors import InputError
-from gns_pl.training import carry
 from gns_pl.training.devices import check_devices
 from gns_pl.training.train import train
 from tests.training.conftest import make_config, rows
 
 HERE = "tests.training.test_devices"
 BATCH = ["training.batch_size=4", "trainer.accelerator=cpu"]
-CARRY = ["training.optimisation.visits=3", "training.optimisation.unroll_from=0.0"]  # windows stay with their process
 
 
 class KeepRank(Callback):
@@ -61,7 +58,7 @@ class Unaveraged(DDPStrategy):
 
 def config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
     keep = [f"+callbacks.keep._target_={HERE}.KeepRank", f"+callbacks.keep.directory={output}"]
-    cfg = make_config(data_root, output, *BATCH, *CARRY, *keep, *overrides)
+    cfg = make_config(data_root, output, *BATCH, *keep, *overrides)
     # One process validates on two trajectories, the other on one; cubes, and so windows, differ in size.
     cfg.data.families.cube_drop.update({"count": 5, "valid": 3, "side": [0.2, 0.5]})
     return cfg
@@ -72,7 +69,6 @@ def work(rank: int, port: int, data_root: Path, runs: dict[Path, list[str]]) -> 
     place = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "NODE_RANK": "0", "LOCAL_RANK": str(rank)}
     os.environ |= place | {"WORLD_SIZE": "2"}
     torch.set_num_threads(1)
-    sampler.POOL, carry.LARGEST_ERROR = 2, 3.0
     for output, overrides in runs.items():
         try:
             train(config(data_root, output, "trainer.devices=2", *overrides), output, None)
@@ -92,9 +88,7 @@ def distance(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> floa
     )
 
 
-def test_two_processes_equal_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sampler, "POOL", 2)  # so that a short training comes back to its windows
-    monkeypatch.setattr(carry, "LARGEST_ERROR", 3.0)
+def test_two_processes_equal_one(tmp_path: Path) -> None:
     data_root, one, two, apart = (tmp_path / name for name in ("data", "one", "two", "apart"))
     for output in (one, two, apart):
         output.mkdir()
@@ -114,11 +108,6 @@ def test_two_processes_equal_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     # Control: had the gradients not been averaged, this would have been seen.
     assert distance(load(apart, 0)["weights"], load(apart, 1)["weights"]) > 1e-2
     assert distance(alone["weights"], load(apart, 0)["weights"]) > 1e-2
-
-    carried, shared = (torch.load(output / "last.ckpt", weights_only=True)["carried"] for output in (one, two))
-    assert carried.keys() == shared.keys() and {number % 4 // 2 for number in carried} == {0, 1}  # those of both
-    for number, history in carried.items():
-        torch.testing.assert_close(shared[number], history, rtol=0, atol=1e-6)
 
     for output in (one, two):  # one log, one writer
         assert len(list(output.glob("csv/*"))) == 1

@@ -54,9 +54,8 @@ class TrajectoryDataModule(LightningDataModule):
         num_steps: training steps in all.
         input_sequence_length: H.
         num_targets: frames behind the history in every window.
-        visits: how often each window is visited, each time `num_targets` steps later.
         stride: frames of the files in a step.
-        start_repeats: how often windows at the start of a trajectory are listed.
+        start_repeats: how often windows are listed while a trajectory sets out.
         moving_repeats: how often windows are listed in which something moves.
         num_workers: loader processes.
         memory_limit: the training set is kept in memory if its positions take no more than this [bytes].
@@ -75,7 +74,6 @@ class TrajectoryDataModule(LightningDataModule):
         num_steps: int,
         input_sequence_length: int,
         num_targets: int,
-        visits: int,
         stride: int,
         start_repeats: int,
         moving_repeats: int,
@@ -91,7 +89,6 @@ class TrajectoryDataModule(LightningDataModule):
         self.num_steps = num_steps
         self.input_sequence_length = input_sequence_length
         self.num_targets = num_targets
-        self.visits = visits
         self.stride = stride
         self.start_repeats = start_repeats
         self.moving_repeats = moving_repeats
@@ -112,7 +109,6 @@ class TrajectoryDataModule(LightningDataModule):
                 [self.directory / name for name in self.train_names],
                 input_sequence_length=self.input_sequence_length,
                 num_targets=self.num_targets,
-                visits=self.visits,
                 stride=self.stride,
                 start_repeats=self.start_repeats,
                 moving_repeats=self.moving_repeats,
@@ -130,7 +126,6 @@ class TrajectoryDataModule(LightningDataModule):
             num_steps=self.num_steps,
             seed=self.seed,
             first_step=self._steps_made,
-            visits=self.visits,
             rank=rank,
             num_ranks=num_ranks,
         )
@@ -162,19 +157,13 @@ class TrajectoryDataModule(LightningDataModule):
         paths += [None] * (-len(paths) % ranks)
         return TorchDataLoader(TrajectoryDataset(paths[rank::ranks], self.stride), batch_size=None)
 
-    def rank_of(self, number: int) -> int:
-        """Return the process that meets window `number` of the training."""
-        _, ranks = self._processes()
-        return self._sampler(num_ranks=ranks).rank_of(number)
-
     def windows_of_step(self, step: int) -> list[dict[str, Any]]:
         """Return every window of a step's joined batch, those of all processes, as plain values and tensors."""
         windows = []
-        for drawn in self._sampler().joined_batch(step):
-            which, frame = self.train_set.index[drawn.window]
-            frame += drawn.visit * self.num_targets * self.stride
-            tensors = self.train_set[drawn].to_dict()
-            windows.append({**tensors, "number": drawn.number, "trajectory": self.train_names[which], "frame": frame})
+        for index, number in self._sampler().joined_batch(step):
+            which, frame = self.train_set.index[index]
+            tensors = self.train_set[index, number].to_dict()
+            windows.append({**tensors, "number": number, "trajectory": self.train_names[which], "frame": frame})
         return windows
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +17,6 @@ from torch.utils.data import Dataset
 from torch_geometric.data import Data
 
 from gns_pl.data.findings import MOVING_SHARE, SPEED_AT_REST
-from gns_pl.data.sampler import Drawn
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_trajectory, read_window
@@ -26,26 +26,24 @@ from gns_pl.trajectory import Trajectory, ballistic_history
 class WindowDataset(Dataset[Data]):
     """Every window of a list of trajectory files.
 
-    A trajectory has a window for every frame k = 0 … T − 1 − s U V, which holds the latest history position; with a
-    stride s the frames before it and the U targets behind it are s frames apart. At its second visit of V a window
-    begins U steps later, and so on. How a scene sets out takes few frames but decides the rest, and in many sets half of
-    the frames are at rest, which is soon learned; so the windows while a scene sets out, and those in which something is
-    about to move, can be listed several times.
+    A trajectory has a window for every frame k = 0 … T − 1 − s U, which holds the latest history position; with a
+    stride s the frames before it and the U targets behind it are s frames apart. How a scene sets out takes few frames
+    but decides the rest, and in many sets half of the frames are at rest, which is soon learned; so the windows while a
+    scene sets out, and those in which something is about to move, can be listed several times.
 
     Args:
         paths: trajectory files.
         input_sequence_length: H.
         num_targets: U, frames behind the history.
         stride: s, frames of the files in a step.
-        visits: V, how often a window may be visited.
-        start_repeats: how often windows are listed while the scene sets out: whose history begins before the first frame
-            or that lie before the largest kinetic energy.
+        start_repeats: how often windows are listed while the scene sets out: whose history begins before the first
+            frame or that lie before the largest kinetic energy.
         moving_repeats: how often windows are listed in whose next frame more than `MOVING_SHARE` of the particles have
             moved faster than `SPEED_AT_REST`; with those at the start it is the product of both.
         in_memory: keep all positions in memory; otherwise each window is read from its file.
 
     Raises:
-        InputError: no file, one with fewer than s U V + 1 frames, or one whose scene has obstacles.
+        InputError: no file, one with fewer than s U + 1 frames, or one whose scene has obstacles.
     """
 
     def __init__(
@@ -55,7 +53,6 @@ class WindowDataset(Dataset[Data]):
         input_sequence_length: int,
         num_targets: int,
         stride: int,
-        visits: int = 1,
         start_repeats: int,
         moving_repeats: int = 1,
         in_memory: bool,
@@ -73,9 +70,8 @@ class WindowDataset(Dataset[Data]):
             # Without memory for all frames only the first one is read here, which the pre-history needs.
             num_frames = read_header(path).num_frames
             trajectory = read_trajectory(path, num_frames=None if in_memory else 1)
-            reach = visits * self.behind
-            if num_frames <= reach:
-                raise InputError(f"{path}: has {num_frames} frames; a window needs at least {reach + 1}.")
+            if num_frames <= self.behind:
+                raise InputError(f"{path}: has {num_frames} frames; a window needs at least {self.behind + 1}.")
             if trajectory.scene.obstacles:
                 raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
             repeats = np.ones(num_frames - 1, dtype=int)
@@ -83,7 +79,7 @@ class WindowDataset(Dataset[Data]):
                 speeds = _speeds(trajectory if in_memory else read_trajectory(path))
                 repeats[: max(self.before, int(np.square(speeds).mean(axis=1).argmax()))] *= start_repeats
                 repeats[(speeds > SPEED_AT_REST).mean(axis=1) > MOVING_SHARE] *= moving_repeats
-            for frame in range(num_frames - reach):
+            for frame in range(num_frames - self.behind):
                 self.index += [(which, frame)] * int(repeats[frame])
             past = ballistic_history(
                 trajectory.position[0], trajectory.initial_velocity, trajectory.dt, self.before + 1
@@ -95,15 +91,14 @@ class WindowDataset(Dataset[Data]):
     def __len__(self) -> int:
         return len(self.index)
 
-    def __getitem__(self, drawn: int | Drawn) -> Data:
-        """Return a PyG `Data`: `position` [N, H + U, D], the fields of `graph.Static`, `number` [1] and `visit` [1].
+    def __getitem__(self, drawn: int | tuple[int, int]) -> Data:
+        """Return a PyG `Data`: `position` [N, H + U, D], the fields of `graph.Static` for one scene, and `number` [1].
 
         Args:
-            drawn: window and visit (`StepSampler`); of a bare index both numbers are 0.
+            drawn: index of the window, and the number it has in a training (`StepSampler`); without one, that is 0.
         """
-        index, number, visit = (drawn, 0, 0) if isinstance(drawn, int) else drawn
+        index, number = (drawn, 0) if isinstance(drawn, int) else drawn
         which, frame = self.index[index]
-        frame += visit * self.behind
         first = max(0, frame - self.before)
         stored = self._position[which]
         frames = frame + self.behind + 1 - first
@@ -113,8 +108,7 @@ class WindowDataset(Dataset[Data]):
             window = np.concatenate([self._pre_history[which][-missing:], window])
         window = window[:: self.stride]
         position = torch.from_numpy(np.ascontiguousarray(window.transpose(1, 0, 2)))
-        drawn_as = {"number": torch.tensor([number]), "visit": torch.tensor([visit])}
-        return Data(position=position, num_nodes=len(position), **drawn_as, **self.constant[which])
+        return Data(position=position, number=torch.tensor([number]), num_nodes=len(position), **self.constant[which])
 
     def mean_moved_particles(self) -> float:
         """Return how many particles that a simulator moves a window has in the mean."""
@@ -122,7 +116,7 @@ class WindowDataset(Dataset[Data]):
         return sum(moved[which] for which, _ in self.index) / len(self.index)
 
 
-def _speeds(trajectory: Trajectory) -> NDArray[np.float32]:
+def _speeds(trajectory: Trajectory) -> NDArray[Any]:
     """Return every particle's speed between each frame and the next [T − 1, N] [m/s]."""
     pairs = zip(trajectory.position[:-1], trajectory.position[1:], strict=True)
     return np.stack([np.linalg.norm(after - before, axis=1) for before, after in pairs]) / np.float32(trajectory.dt)

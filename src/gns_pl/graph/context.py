@@ -1,10 +1,10 @@
 """What a particle cannot see through a few message-passing steps: what lies above and below, and how densely.
 
 Over a step of 10 ms pressure crosses a whole column, while a few message-passing steps reach a few spacings. The
-thickness of the overburden, and its differences between neighbours, carry that information at the cost of a sum; so does
-the overburden's momentum, which has to be stopped by what lies below. The empty height below tells a body in the air from one that stands, and when it will land, whatever its size. The
-solid fraction is the mean over a few dozen particles, which tells a sunken heap from a sound one where the irregular
-places of the nearest neighbours do not.
+thickness of the overburden, and its differences between neighbours, carry that information at the cost of a sum; so
+does the overburden's momentum, which what lies below has to stop. The empty height below tells a body in the air from
+one that stands, and when it will land, whatever its size. The solid fraction is the mean over a few dozen particles,
+which tells a sunken heap from a sound one where the irregular places of the nearest neighbours do not.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ def context_fields(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return thickness and momentum of the material above every particle, empty height below, solid fraction around.
 
-    The particles' volumes, and these times their velocities, are spread to the nodes of a grid with multilinear weights.
-    Divided by the part of each node's cell that lies in the box they give the solid fraction (and a density of momentum),
-    and that times the heights of the cells, summed along the last axis, thicknesses: a node's own cell counts half to
-    what lies above it, half below; on the floor all above. All are interpolated back with the same weights. The empty
-    height is that of the particle over the floor less the thickness below.
+    The particles' volumes, and these times their velocities, are spread to the nodes of a grid with multilinear
+    weights. Divided by the part of each node's cell that lies in the box they give the solid fraction (and a density of
+    momentum), and that times the heights of the cells, summed along the last axis, thicknesses: a node's own cell
+    counts half to what lies above it, half below; on the floor all above. All are interpolated back with the same
+    weights. The empty height is that of the particle over the floor less the thickness below.
 
     Args:
         position: [N, D] [m].
@@ -77,6 +77,6 @@ def context_fields(
     nodal = torch.cat([above, below[..., :1], dense[..., :1]], dim=2).flatten(0, 1)
     # index_select, as the gradient of plain indexing is slow on a CPU.
     gathered = nodal.index_select(0, corner_index).view(len(weight), len(position), dim + 3)
-    thickness, momentum, under, solid = (gathered * weight).sum(dim=0).split([1, dim, 1, 1], dim=1)
-    empty = place[:, -1] * edge[batch, -1] - under[:, 0]
-    return thickness[:, 0], momentum, empty, solid[:, 0]
+    own = (gathered * weight).sum(dim=0)
+    empty = place[:, -1] * edge[batch, -1] - own[:, -2]
+    return own[:, 0], own[:, 1:-2], empty, own[:, -1]

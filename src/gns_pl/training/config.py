@@ -27,8 +27,6 @@ class Optimisation:
         symmetry: mirror and exchange the horizontal axes at random.
         unroll_steps: steps in a row that the loss follows, late in training.
         unroll_from: share of the training after which it does; before, it is one step.
-        visits: how often a window is visited, each time `unroll_steps` later and, late in training, from where the
-            network itself led it (`training.carry`).
 
     Raises:
         InputError: a value out of range.
@@ -44,10 +42,9 @@ class Optimisation:
     symmetry: bool
     unroll_steps: int
     unroll_from: float
-    visits: int
 
     def __post_init__(self) -> None:
-        _check("training.optimisation", self, num_steps=1, warmup_steps=0, unroll_steps=1, visits=1)
+        _check("training.optimisation", self, num_steps=1, warmup_steps=0, unroll_steps=1)
         _check("training.optimisation", self, unroll_from=0.0)
         _check("training.optimisation", self, learning_rate=0.0, final_factor=0.0, weight_decay=0.0)
         if self.optimiser not in OPTIMISERS:
@@ -68,7 +65,7 @@ class TrainingConfig:
         memory_limit: a larger training set is read window by window [bytes].
         num_train: training trajectories; None for all.
         stride: frames of the data in a step of the simulator.
-        start_repeats: how often a pass shows the windows at the start of each trajectory.
+        start_repeats: how often a pass shows the windows while a trajectory sets out, up to its largest kinetic energy.
         moving_repeats: how often a pass shows the windows in which something moves.
         perturbation: noise.
         optimisation: the fit.

@@ -16,16 +16,12 @@ from gns_pl.evaluation.metrics import rollout_errors
 from gns_pl.graph import Draws, Static
 from gns_pl.rollout import rollout
 from gns_pl.simulator import Simulator, SimulatorConfig
-from gns_pl.training.carry import CarriedHistories
 from gns_pl.training.optimiser import MuonAndAdamW
 from gns_pl.training.perturbation import Perturbation
 from gns_pl.training.symmetry import sample_symmetry
-from gns_pl.training.unroll import desired, unrolled_loss
+from gns_pl.training.unroll import unrolled_loss
 from gns_pl.training.validation import MONITORED, STEP_SECONDS, ValidationTable
 from gns_pl.trajectory import Trajectory
-
-ERROR_UNDONE = 0.5
-"""Position errors of a network's own steps that are larger are undone like errors of this size [spacings]."""
 
 
 def static_of_batch(batch: Data) -> Static:
@@ -82,7 +78,6 @@ class SimulatorModule(LightningModule):
         self.particles_per_window = particles_per_window
         self.seed = seed
         self.provenance = provenance
-        self.carried = CarriedHistories()
 
     def training_step(self, batch: Data, batch_index: int) -> dict[str, Tensor]:
         """Return "loss", that of this process's windows, and "joined", that of all processes' windows."""
@@ -108,19 +103,12 @@ class SimulatorModule(LightningModule):
         # A window's noise depends on the seed and its number alone: resumed or spread over processes, it is the same.
         draws = Draws(self.seed, batch.number, static.batch)
         length = self.simulator.config.input_sequence_length
-        late = self._late()
-        steps = self.optimisation["unroll_steps"] if late else 1
+        steps = self._unrolled(self.global_step)
         truth = batch.position[:, : length + steps]
         if self.optimisation["symmetry"]:
             truth, static = sample_symmetry(truth, static, draws)
-        true_history, future = truth[:, :length], truth[:, length:]
-        history, goal = self.perturb(true_history, future[:, 0], static, draws)
-        restore, limit = self.perturb.restore, ERROR_UNDONE * self.simulator.config.spacing
-        carries = late and self.optimisation["visits"] > 1
-        if carries:
-            history, carried = self.carried.take(batch.number, batch.visit, history, static)
-            onward = desired(history[:, -1], true_history[:, -1], future[:, 0], restore, limit)
-            goal = torch.where(carried[static.batch][:, None], onward, goal)
+        history, future = truth[:, :length], truth[:, length:]
+        history, goal = self.perturb(history, future[:, 0], static, draws)
         moved, delta = static.moved, self.optimisation["huber_delta"]
         parts = future.shape[2] * batch.num_graphs * self.particles_per_window
 
@@ -132,17 +120,15 @@ class SimulatorModule(LightningModule):
                 total = smooth_l1_loss(predicted, target, beta=delta, reduction="sum")
             return cast(Tensor, total / parts)
 
-        total, history = unrolled_loss(
-            self.simulator, history, goal, future, static, restore=restore, limit=limit, loss=difference
+        return unrolled_loss(
+            self.simulator, history, goal, future, static, restore=self.perturb.restore, loss=difference
         )
-        if carries:
-            error = (history[:, -1] - future[:, -1]).norm(dim=1).detach() / self.simulator.config.spacing
-            self.carried.keep(batch.number, batch.visit + 1 < self.optimisation["visits"], history, error, static)
-        return total
 
-    def _late(self) -> bool:
-        """Return whether windows are followed for several steps by now."""
-        return bool(self.global_step >= self.optimisation["unroll_from"] * self.optimisation["num_steps"])
+    def _unrolled(self, step: int) -> int:
+        """Return how many steps in a row training step `step` makes."""
+        settings = self.optimisation
+        late = step >= settings["unroll_from"] * settings["num_steps"]
+        return int(settings["unroll_steps"]) if late else 1
 
     def on_validation_epoch_start(self) -> None:
         """Begin a new table of errors."""
@@ -187,24 +173,7 @@ class SimulatorModule(LightningModule):
         """Add what `gns_pl.checkpoint` reads."""
         provenance = {**self.provenance, "steps": self.global_step}
         checkpoint[KEY] = checkpoint_entry(self.simulator.config, self.data, provenance)
-        checkpoint["carried"] = self._all_carried()
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Take up carried histories. Forget the time earlier starts took: `trainer.max_time` is that of each start."""
+        """Forget the time that earlier starts took: `trainer.max_time` is that of each start."""
         checkpoint["callbacks"].pop("Timer", None)
-        state = checkpoint["carried"]
-        self.carried.load(state, [number for number in state if self._mine(number)])
-
-    def _mine(self, number: int) -> bool:
-        """Return whether this process meets a window."""
-        datamodule = cast(Any, self.trainer).datamodule
-        return bool(datamodule.rank_of(number) == self.trainer.global_rank)
-
-    def _all_carried(self) -> dict[int, Tensor]:
-        """Return the histories that all processes carry; all have to ask."""
-        state = {number: history.cpu() for number, history in self.carried.state().items()}
-        if self.trainer.world_size > 1:
-            parts: list[dict[int, Tensor]] = [{} for _ in range(self.trainer.world_size)]
-            torch.distributed.all_gather_object(parts, state)
-            state = {number: history for part in parts for number, history in part.items()}
-        return dict(sorted(state.items()))

@@ -15,8 +15,8 @@ OPTIMISERS = ("adamw", "muon")
 class MuonAndAdamW(Optimizer):
     """Steps every matrix of a module along its orthogonalised momentum, and its vectors as AdamW does.
 
-    Muon (Jordan et al. 2024) takes all singular directions of a matrix alike, where AdamW follows the few that dominate.
-    Its update is scaled to the size of AdamW's (Liu et al. 2025), so that one learning rate serves both.
+    Muon (Jordan et al. 2024) takes all singular directions of a matrix alike, where AdamW follows the few that
+    dominate. Its update is scaled to the size of AdamW's (Liu et al. 2025), so that one learning rate serves both.
 
     Args:
         module: the network.
@@ -44,7 +44,7 @@ class MuonAndAdamW(Optimizer):
         if closure is not None:
             with torch.enable_grad():
                 loss = closure()
-        self.muon.step()
+        self.muon.step()  # type: ignore[no-untyped-call]
         self.adamw.step()
         return loss
 

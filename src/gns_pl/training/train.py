@@ -199,7 +199,6 @@ def build_data(directory: Path, training: TrainingConfig, length: int, seed: int
         num_steps=training.optimisation.num_steps,
         input_sequence_length=length,
         num_targets=training.optimisation.unroll_steps,
-        visits=training.optimisation.visits,
         stride=training.stride,
         start_repeats=training.start_repeats,
         moving_repeats=training.moving_repeats,

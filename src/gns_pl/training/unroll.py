@@ -19,9 +19,8 @@ def unrolled_loss(
     static: Static,
     *,
     restore: float,
-    limit: float,
     loss: Callable[[Tensor, Tensor], Tensor],
-) -> tuple[Tensor, Tensor]:
+) -> Tensor:
     """Return the loss of U steps in a row, each from the positions the one before led to, gradients through all.
 
     With e the position error after a step, the target of the next one leaves (1 − κ) e of it, as `Perturbation` does
@@ -36,11 +35,10 @@ def unrolled_loss(
         future: true positions of the U next frames [N, U, D] [m].
         static: the scenes.
         restore: κ.
-        limit: errors larger than this are undone like errors of this size [m].
         loss: of predicted and target normalised accelerations [N, D].
 
     Returns:
-        Mean over the U steps [], and the positions they led to, history included [N, H, D] [m].
+        Mean over the U steps [].
     """
     steps = future.shape[1]
     total = history.new_zeros(())
@@ -48,28 +46,9 @@ def unrolled_loss(
         normalised = simulator.normalised_acceleration(history, static)
         target = simulator.target(history, goal, static)
         total = total + loss(normalised, target)
-        position = simulator.integrate(history, normalised, static)
-        position = torch.where(static.moved[:, None], position, future[:, step])
-        history = torch.cat([history[:, 1:], position[:, None]], dim=1)
         if step + 1 < steps:
-            goal = desired(position, future[:, step], future[:, step + 1], restore, limit)
-    return total / steps, history
-
-
-def desired(position: Tensor, true: Tensor, following: Tensor, restore: float, limit: float) -> Tensor:
-    """Return where a step should lead from `position`, when the truth goes from `true` to `following` [N, D] [m].
-
-    Of the error e = position − true, (1 − κ) e is to be left. Of an error larger than `limit` only as much is undone as
-    of one of that size: particles that have parted for good are not torn back.
-
-    Args:
-        position: [N, D] [m].
-        true: [N, D] [m].
-        following: [N, D] [m].
-        restore: κ.
-        limit: [m].
-    """
-    error = position - true
-    undone = restore * error * (limit / error.norm(dim=1, keepdim=True).clamp(min=limit))
-    goal: Tensor = following + error - undone
-    return goal
+            position = simulator.integrate(history, normalised, static)
+            position = torch.where(static.moved[:, None], position, future[:, step])
+            goal = future[:, step + 1] + (1 - restore) * (position - future[:, step])
+            history = torch.cat([history[:, 1:], position[:, None]], dim=1)
+    return total / steps
