@@ -25,7 +25,7 @@ FLIGHTS = [make_flight(make_scene(velocity=(0.4 * k, -0.2, 0.5)), 20) for k in r
 
 def survey_of(folder: Path, trajectories: list[Any], **faults: Any) -> Survey:
     manifest = write_set(folder, trajectories, **faults)
-    return survey_dataset(folder, manifest, manifest.splits["train"], radius=0.11, input_sequence_length=4)
+    return survey_dataset(folder, manifest, manifest.splits["train"], radius=0.11)
 
 
 def test_free_fall(tmp_path: Path) -> None:
@@ -47,7 +47,8 @@ def test_free_fall(tmp_path: Path) -> None:
 def test_sizes_and_steps(tmp_path: Path) -> None:
     found = survey_of(tmp_path, [*FLIGHTS, make_flight(make_scene(), 3)], valid=1)
     sizes = found.sizes
-    assert (sizes.num_trajectories, sizes.num_valid, sizes.num_windows, sizes.num_early_windows) == (3, 1, 57, 9)
+    assert (sizes.num_trajectories, sizes.num_valid, sizes.num_windows) == (3, 1, 57)
+    assert found.motion.setting_out == pytest.approx(18 / 19)  # they fall, so the last step is the fastest
     assert sizes.bytes == 3 * 20 * 216 * 3 * 4 and sizes.particles_max == 216
     # Window k holds the step from k − 1 to k, in whose middle v0 + g t is exact; all windows are seen, up to k = 18.
     largest = DT * np.array([0.4 * 2, -0.2, 0.5 - 9.81 * 17.5 * DT])
@@ -113,12 +114,11 @@ def test_numbers_that_are_not_finite_are_named_and_left_out(tmp_path: Path) -> N
     manifest = write_set(tmp_path, FLIGHTS)
     with h5py.File(tmp_path / "trajectory_0001.h5", "r+") as file:
         file[LOCATION["position"]][12:] = np.nan
-    arguments: Any = {"radius": 0.11, "input_sequence_length": 4}
-    found = survey_dataset(tmp_path, manifest, manifest.splits["train"], **arguments)
+    found = survey_dataset(tmp_path, manifest, manifest.splits["train"], radius=0.11)
     assert found.faults.not_finite == ("trajectory_0001.h5",)
     assert found.motion.gravity == pytest.approx(9.81, rel=2e-3)
     with pytest.raises(InputError, match=r"not finite: trajectory_0001\.h5"):
-        survey_dataset(tmp_path, manifest, ["trajectory_0001.h5"], **arguments)
+        survey_dataset(tmp_path, manifest, ["trajectory_0001.h5"], radius=0.11)
 
 
 def test_kinematic_particles_do_not_count(tmp_path: Path) -> None:

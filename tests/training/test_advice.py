@@ -70,13 +70,7 @@ def collapses() -> list[Any]:
 def advice_on(folder: Path, trajectories: list[Any], faults: dict[str, Any] | None = None, **settings: Any) -> Advice:
     manifest = write_set(folder, trajectories, **(faults or {}))
     model = make_model(connectivity_radius=settings.pop("radius", 0.11), context=settings.pop("context", True))
-    survey = survey_dataset(
-        folder,
-        manifest,
-        manifest.splits["train"],
-        radius=model.connectivity_radius,
-        input_sequence_length=model.input_sequence_length,
-    )
+    survey = survey_dataset(folder, manifest, manifest.splits["train"], radius=model.connectivity_radius)
     memory, gravity = settings.pop("memory", 8e9), settings.pop("gravity", 9.81)
     delta = settings.pop("huber_delta", 0.3)
     steps = settings.pop("num_steps", 1000)
@@ -123,9 +117,9 @@ def test_noise_by_hand(sound: Advice) -> None:
 
 
 def test_a_pass_by_hand(sound: Advice) -> None:
-    """3 × 20 windows, of which 3 × 3 begin before the first frame and come twice."""
-    assert sound.windows == 69 and sound.steps_per_pass == 35 and sound.passes == pytest.approx(2000 / 69)
-    assert sound.early_cold_share == pytest.approx(18 / 69)
+    """3 × 20 windows, of which 3 × 14 lie before the fastest step and come twice."""
+    assert sound.windows == 102 and sound.steps_per_pass == 51 and sound.passes == pytest.approx(2000 / 102)
+    assert sound.cold_start_share == pytest.approx(84 / 102)
     assert sound.reach == pytest.approx(0.22) and sound.wave == pytest.approx(0.3867, rel=1e-3)
 
 
@@ -146,7 +140,7 @@ def test_nothing_to_change(sound: Advice) -> None:
         ({"memory_limit": 1e4}, "training.memory_limit=2.5e+05"),
         ({"memory_limit": 1e4, "memory": 2e5}, "training.num_workers=2"),
         ({"memory": 2e5}, "training.memory_limit=1.0e+05"),
-        ({"num_steps": 10}, "training.optimisation.num_steps=35"),
+        ({"num_steps": 10}, "training.optimisation.num_steps=51"),
         ({"gravity": 1.62}, "data.gravity=9.81"),
     ],
 )
@@ -184,9 +178,10 @@ def test_cold_starts_are_missed_and_the_family_suggested_can_be_drawn(tmp_path: 
 def test_few_windows_of_a_cold_start(tmp_path: Path) -> None:
     scene = make_scene(position=(0.0, 0.0, 0.0))
     tall = make_scene(position=(0.0, 0.0, 0.0), size=(0.3, 0.3, 0.6))
-    long = [moved(s, lambda t: np.array([0.02 * min(t, 3.5) ** 2, 0.0, 0.0]), 401) for s in (scene, tall, scene)]
-    assert changes(advice_on(tmp_path / "few", long, start_repeats=1)) == ["training.start_repeats=3"]
-    assert changes(advice_on(tmp_path / "more", long, start_repeats=3)) == []
+    long = [moved(s, lambda t: np.array([0.3 * min(t, 0.2) ** 2, 0.0, 0.0]), 401) for s in (scene, tall, scene)]
+    settings = {"moving_repeats": 2, "num_steps": 2000}
+    assert changes(advice_on(tmp_path / "few", long, start_repeats=1, **settings)) == ["training.start_repeats=2"]
+    assert changes(advice_on(tmp_path / "more", long, start_repeats=2, **settings)) == []
 
 
 def test_a_squared_loss_and_impacts(tmp_path: Path) -> None:

@@ -28,7 +28,6 @@ class Sizes:
         num_trajectories: training trajectories.
         num_valid: validation trajectories.
         num_windows: windows, each once.
-        num_early_windows: those whose history begins before the first frame.
         particles_mean: particles per trajectory.
         particles_max: of the largest.
         bytes: of all positions.
@@ -37,7 +36,6 @@ class Sizes:
     num_trajectories: int
     num_valid: int
     num_windows: int
-    num_early_windows: int
     particles_mean: float
     particles_max: int
     bytes: int
@@ -112,6 +110,7 @@ class Motion:
         moving: share of particles faster than `SPEED_AT_REST`.
         frames_moving: share of frames with more than `MOVING_SHARE` such particles.
         moving_at_end: share of such particles in the last step of a trajectory.
+        setting_out: share of frames before a trajectory's largest kinetic energy.
         free_fall: share of particles that fall freely.
         impacts: part of the squared acceleration that `IMPACT_SHARE` of the particles hold.
         gravity: magnitude as free fall shows it, NaN if nothing falls freely [m/s²].
@@ -126,6 +125,7 @@ class Motion:
     moving: float
     frames_moving: float
     moving_at_end: float
+    setting_out: float
     free_fall: float
     impacts: float
     gravity: float

@@ -37,9 +37,7 @@ MAX_PARTICLES, MAX_QUERIES = 2000, 300
 """Per window: particles that enter statistics, and those whose neighbours are counted."""
 
 
-def survey_dataset(
-    directory: Path, manifest: Manifest, names: Sequence[str], *, radius: float, input_sequence_length: int
-) -> Survey:
+def survey_dataset(directory: Path, manifest: Manifest, names: Sequence[str], *, radius: float) -> Survey:
     """Measure the training trajectories of a data set on a sample.
 
     Args:
@@ -47,7 +45,6 @@ def survey_dataset(
         manifest: of the folder.
         names: training files.
         radius: for which neighbours are counted [m].
-        input_sequence_length: H.
 
     Raises:
         InputError: no file, a file that cannot be read, or no window in any of them.
@@ -66,7 +63,6 @@ def survey_dataset(
         num_trajectories=len(names),
         num_valid=len(manifest.splits["valid"]),
         num_windows=sum(lengths),
-        num_early_windows=sum(min(length, input_sequence_length - 1) for length in lengths),
         particles_mean=float(np.mean(particles)),
         particles_max=max(particles),
         bytes=sum(4 * (t + 1) * n * manifest.dim for t, n in zip(lengths, particles, strict=True)),
@@ -146,11 +142,15 @@ class _Sample:
                 return
             self._add_ends(header, first[0], end, moved)
             past = ballistic_history(first[0], static["initial_velocity"], header.dt, 3)[:-1].astype(np.float32)
+            energies = {}
             for frame in frames:
                 start = max(0, int(frame) - 2)
                 window = read_window(file, start, int(frame) + 2 - start)
                 if self._is_sound(path.name, window, header):
+                    energies[int(frame)] = float(np.square(window[-1, moved] - window[-2, moved]).sum())
                     self._add_window(header, np.concatenate([past[len(window) - 2 :], window])[-4:], moved, frame >= 2)
+        if energies:
+            self._note(setting_out=max(energies, key=lambda frame: energies[frame]) / length)
 
     def _add_ends(
         self, header: TrajectoryHeader, first: NDArray[np.float32], end: NDArray[np.float32], moved: NDArray[np.int64]
@@ -273,6 +273,7 @@ class _Sample:
             moving=float(np.mean(self.seen["moving"])),
             frames_moving=float(np.mean(np.array(self.seen["moving"]) > MOVING_SHARE)),
             moving_at_end=float(np.mean(self.seen["moving_at_end"])),
+            setting_out=float(np.mean(self.seen["setting_out"])),
             free_fall=float(falling.mean()) if len(falling) else 0.0,
             impacts=probes.top_share(np.square(target).sum(axis=1), IMPACT_SHARE),
             gravity=gravity,

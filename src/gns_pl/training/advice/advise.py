@@ -43,13 +43,7 @@ def advise(cfg: DictConfig, output: Path) -> Path:
     manifest = read_manifest(directory)
     names = manifest.splits["train"][: training.num_train]
     model = SimulatorConfig.from_dict({**settings["model"], **_of_data(manifest, settings["model"])})
-    survey = survey_dataset(
-        directory,
-        manifest,
-        names,
-        radius=model.connectivity_radius,
-        input_sequence_length=model.input_sequence_length,
-    )
+    survey = survey_dataset(directory, manifest, names, radius=model.connectivity_radius)
     advice = compute_advice(
         survey, model, training, memory=machine_memory(), gravity=float(settings["data"]["gravity"])
     )

@@ -30,8 +30,8 @@ class Advice:
         noise_share: share of the one-step target's variance that is random-walk noise.
         restore_share: share of it that undoes coherent noise.
         strain_over_spacing: largest standard deviation of the coherent noise's displacement, in spacings.
-        windows: listed in a pass, those at the start repeated.
-        early_cold_share: estimated share of these that begin before the first frame of a cold start.
+        windows: listed in a pass, repeated ones included; estimated.
+        cold_start_share: estimated share of these in which a body sets out from rest.
         steps_per_pass: training steps for a pass.
         passes: in the whole training.
         edges: estimated, of one window's graph, both directions.
@@ -49,7 +49,7 @@ class Advice:
     restore_share: float
     strain_over_spacing: float
     windows: int
-    early_cold_share: float
+    cold_start_share: float
     steps_per_pass: int
     passes: float
     edges: float
@@ -72,9 +72,10 @@ def compute_advice(
     walk, coherent = target_noise(perturbation, model.input_sequence_length)
     variance = walk + coherent + (motion.acceleration_std * motion.dt**2) ** 2
     shown = training.moving_repeats  # of what moves; bodies that set out do
-    early = training.start_repeats * shown * sizes.num_early_windows
-    later = (sizes.num_windows - sizes.num_early_windows) * (1 + (shown - 1) * motion.frames_moving)
-    windows = early + round(later)
+    early = motion.setting_out
+    out = training.start_repeats * shown * early
+    later = (1 - early) + (shown - 1) * max(0.0, motion.frames_moving - early)
+    windows = round(sizes.num_windows * (out + later))
     step_length = motion.velocity_std * motion.dt
     return Advice(
         survey=survey,
@@ -89,7 +90,7 @@ def compute_advice(
         restore_share=coherent / variance if variance else 0.0,
         strain_over_spacing=perturbation.strain_std * perturbation.strain_length / survey.density.spacing,
         windows=windows,
-        early_cold_share=early / windows * starts.num_cold / starts.num_seen,
+        cold_start_share=out / (out + later) * starts.num_cold / starts.num_seen,
         steps_per_pass=math.ceil(windows / training.batch_size),
         passes=training.optimisation.num_steps * training.batch_size / windows,
         edges=sizes.particles_mean * survey.density.neighbours[0],

@@ -108,7 +108,7 @@ def _size_rows(advice: Advice) -> list[tuple[str, str, str]]:
             "cold starts",
             f"{starts.num_cold} of {starts.num_seen}",
             f"at rest on the floor; {starts.num_hung} at rest in the air; "
-            f"{percent(advice.early_cold_share)} of the windows of a pass",
+            f"{percent(advice.cold_start_share)} of the windows of a pass show them set out",
         ),
         (
             "aspect ratio of bodies",

@@ -32,8 +32,8 @@ STRAIN_SPACINGS = (0.15, 0.5)
 IMPACTS, HUBER_DELTA = 0.5, 0.3
 """Part of the squared acceleration in 1 % of the particles beyond which a Huber loss is suggested, and its δ."""
 
-EARLY_SHARE, MAX_REPEATS = 0.02, 20
-"""Least share of windows at the start of a cold start, and the most repeats that are suggested."""
+START_SHARE, MAX_REPEATS = 0.15, 10
+"""Least share of windows in which a body sets out from rest, and the most repeats that are suggested."""
 
 MOVING_FRAMES, MOVING_AT_END = 0.4, 0.3
 """Least share of frames that move, and largest share of particles that still move at the end."""
@@ -156,11 +156,13 @@ def _cold_starts(advice: Advice) -> Suggestion | None:
     )
 
 
-def _early_windows(advice: Advice) -> Suggestion | None:
-    share, starts = advice.early_cold_share, advice.survey.starts
-    if not starts.num_cold or share >= EARLY_SHARE:
+def _setting_out(advice: Advice) -> Suggestion | None:
+    share, starts = advice.cold_start_share, advice.survey.starts
+    if not starts.num_cold or share >= START_SHARE:
         return None
-    repeats = min(MAX_REPEATS, math.ceil(advice.training.start_repeats * EARLY_SHARE / share))
+    # Of r starts to every other window r s / (r s + 1 − s) are starts.
+    odds = START_SHARE / (1 - START_SHARE) / (share / (1 - share))
+    repeats = min(MAX_REPEATS, math.ceil(advice.training.start_repeats * odds))
     if repeats <= advice.training.start_repeats:
         return None
     return Suggestion(
@@ -249,7 +251,7 @@ RULES: tuple[Rule, ...] = (
     _fast,
     _reach,
     _cold_starts,
-    _early_windows,
+    _setting_out,
     _aspect_ratios,
     _noise,
     _strain,
