@@ -25,7 +25,7 @@ def main(cfg: DictConfig) -> None:
         resume = find_resume(cfg.resume, output)  # before the heavy imports: torch, Lightning, W&B
         from gns_pl.training.train import train
 
-        print(f"Trained. To judge its last state: python evaluate.py ckpt={train(cfg, output, resume)}")
+        print(f"To judge its last state: python evaluate.py ckpt={train(cfg, output, resume)}")
 
 
 if __name__ == "__main__":
