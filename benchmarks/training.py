@@ -6,7 +6,7 @@
 
 The reference is the same network with the same weights, data, batches, noise, loss and optimiser, written plainly: edge
 inputs concatenated from both ends and the edge, `index_add` for the sums, a k-d tree per graph in the training process,
-windows loaded there by one thread, memory and AdamW as PyTorch sets them up. "step" is this package's, in a bare loop
+windows loaded there by one thread, memory, AdamW and Muon as PyTorch has them. "step" is this package's, in a bare loop
 as well; "train.py" is what a user gets: the same under Lightning, with weight averaging and logging. Reference and step
 take turns in blocks, and the medians over all steps are compared. Nothing is timed before both have warmed up.
 """
@@ -105,6 +105,19 @@ class Clock:
         return time.perf_counter()
 
 
+def plain_optimizers(module: SimulatorModule) -> list[torch.optim.Optimizer]:
+    """Return the optimisers of `SimulatorModule` as PyTorch has them."""
+    settings = module.optimisation
+    rates = {"lr": settings["learning_rate"], "weight_decay": settings["weight_decay"]}
+    parameters = list(module.parameters())
+    if settings["optimiser"] == "adamw":
+        return [torch.optim.AdamW(parameters, **rates)]
+    matrices = [parameter for parameter in parameters if parameter.ndim == 2]
+    others = [parameter for parameter in parameters if parameter.ndim != 2]
+    muon = torch.optim.Muon(matrices, adjust_lr_fn="match_rms_adamw", **rates)
+    return [muon, torch.optim.AdamW(others, **rates)]
+
+
 def make_step(
     module: SimulatorModule, data: TrajectoryDataModule, device: torch.device, clip: float, *, plain: bool
 ) -> Callable[[], dict[str, float]]:
@@ -114,13 +127,7 @@ def make_step(
         simulator.network = PlainNetwork(simulator.network)
         simulator.config = dataclasses.replace(simulator.config, neighbours="kdtree")
     module.to(device)
-    settings = module.optimisation
-    optimizer = torch.optim.AdamW(
-        module.parameters(),
-        lr=settings["learning_rate"],
-        weight_decay=settings["weight_decay"],
-        fused=not plain or None,
-    )
+    optimizers = plain_optimizers(module) if plain else [module.configure_optimizers()["optimizer"]]
     batches = iter(data.train_dataloader())
 
     def step() -> dict[str, float]:
@@ -140,8 +147,9 @@ def make_step(
             loss.backward()
         with clock.part("optimiser"):
             torch.nn.utils.clip_grad_norm_(module.parameters(), clip)
-            optimizer.step()
-            optimizer.zero_grad()
+            for optimizer in optimizers:
+                optimizer.step()
+            module.zero_grad()
         return clock.seconds
 
     return step
