@@ -45,8 +45,9 @@ def test_the_summary_says_what_the_run_was(
     assert summary is not None
     assert summary["status"] == "finished" and (summary["steps"], summary["num_steps"]) == (6, 6)
     assert summary["description"] == "a test" and summary["num_starts"] == 1
-    # two training trajectories of 11 frames, so of 10 windows; those at the start are listed three times
-    assert summary["data"] == {"name": "quickstart", "num_train": 2, "num_valid": 1, "num_windows": 2 * (7 + 3 * 3)}
+    # two training trajectories of 11 frames, so of 10 windows; 9 of these 20 lie before the largest kinetic energy and
+    # are listed three times
+    assert summary["data"] == {"name": "quickstart", "num_train": 2, "num_valid": 1, "num_windows": 2 * 10 + 2 * 9}
     weights = load_checkpoint(run / "last.ckpt").simulator.parameters()
     assert summary["num_parameters"] == sum(weight.numel() for weight in weights)
     assert summary["num_threads"] == torch.get_num_threads()

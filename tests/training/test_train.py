@@ -142,7 +142,7 @@ def test_material_features_are_optional_inputs(data_root: Path, tmp_path: Path, 
     cfg = make_config(data_root, tmp_path, f"model.material_features={wanted}", "training.optimisation.num_steps=2")
     simulator = load_checkpoint(train(cfg, tmp_path, None)).simulator
     assert len(simulator.config.material_features) == number
-    without = 3 * 3 + 2 * 3 + 4  # velocities, walls, context
+    without = 3 * 3 + 2 * 3 + 7  # velocities, walls, context
     assert simulator.network.node_encoder[0].in_features == without + number
 
 
