@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import pytest
@@ -96,3 +97,21 @@ def test_runs_of_every_receiver() -> None:
     edges = SortedEdges.of(torch.tensor([[4, 2, 0, 1], [1, 1, 3, 3]]), 5)
     assert edges is not None
     assert edges.start.tolist() == [0, 0, 2, 2, 4, 4]
+
+
+@pytest.mark.parametrize("edges", [300, 3, 0])
+def test_receivers_shared_among_threads(edges: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three threads give the values and gradients of one, up to the order of sums, and the same bits twice."""
+    graph, network = make_graph(edges=edges), make_network(1)
+    alone = results(network, *graph)
+    monkeypatch.setattr("gns_pl.nn.edges.LEAST_EDGES", 1)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 3)
+    parts = SortedEdges.of(graph[2], len(graph[0])).parts  # type: ignore[union-attr]
+    assert parts[0][0] == 0 and parts[-1][1] == len(graph[0]) and len(parts) == min(3, max(1, edges))
+    assert all(before[1] == after[0] for before, after in itertools.pairwise(parts))
+    if edges == 300:
+        assert all(80 < int(((graph[2][1] >= low) & (graph[2][1] < high)).sum()) < 120 for low, high in parts)
+    shared = results(network, *graph)
+    for one, several, again in zip(alone, shared, results(network, *graph), strict=True):
+        torch.testing.assert_close(one, several, atol=2e-5, rtol=1e-4)
+        assert torch.equal(several, again)

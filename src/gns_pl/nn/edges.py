@@ -3,12 +3,17 @@
 A layer's matrix products are torch's. What stands between them (gather both ends, add, ReLU; norm, residual, sum at the
 receiver) takes eight passes over edge-sized arrays in plain torch, and as long as the products do. Here it is one pass
 before and one after the products, forward and backward. Edges come sorted by receiver, so sums over a node's edges
-read a run of memory and need no atomics: results do not depend on anything but the input.
+read a run of memory and need no atomics: results depend on the input and the number of torch's threads alone, among
+which receivers are shared out.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -21,6 +26,9 @@ from torch.autograd.function import once_differentiable
 
 Array = NDArray[np.float32]
 
+LEAST_EDGES = 4000
+"""A further thread is not worth its start for fewer edges."""
+
 
 @dataclass(frozen=True)
 class SortedEdges:
@@ -29,10 +37,12 @@ class SortedEdges:
     Attributes:
         sender: [E] int64.
         start: first edge of every receiver, and E at the end [N + 1] int64.
+        parts: first receiver of every thread and the one after its last, with about as many edges each.
     """
 
     sender: Tensor
     start: Tensor
+    parts: tuple[tuple[int, int], ...]
 
     @classmethod
     def of(cls, edge_index: Tensor, num_nodes: int) -> SortedEdges | None:
@@ -46,7 +56,28 @@ class SortedEdges:
         if bool((receiver[1:] < receiver[:-1]).any()):
             return None
         start = torch.searchsorted(receiver.contiguous(), torch.arange(num_nodes + 1))
-        return cls(sender.contiguous(), start)
+        threads = max(1, min(torch.get_num_threads(), len(sender) // LEAST_EDGES))
+        inner = torch.searchsorted(start, torch.arange(1, threads) * (len(sender) // threads)).tolist()
+        return cls(sender.contiguous(), start, tuple(itertools.pairwise([0, *inner, num_nodes])))
+
+    def share(self, loop: Callable[..., None], arguments: Callable[[int], list[NDArray[Any]]]) -> None:
+        """Run a compiled loop over the receivers of every part, each in a thread of its own.
+
+        Args:
+            loop: called with arguments and the bounds of a part.
+            arguments: of a part, by its number.
+        """
+        pool = _pool(os.getpid()) if len(self.parts) > 1 else None
+        others = [pool.submit(loop, *arguments(k), *part) for k, part in enumerate(self.parts) if k and pool]
+        loop(*arguments(0), *self.parts[0])
+        for other in others:
+            other.result()
+
+
+@functools.cache
+def _pool(process: int) -> ThreadPoolExecutor:
+    """Return the threads of a process; a child that was forked has none of its parent's."""
+    return ThreadPoolExecutor(os.cpu_count())
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -56,9 +87,11 @@ _compiled: Callable[[F], F] = numba.njit(
 
 
 @_compiled
-def _gather_forward(hidden: Array, sending: Array, receiving: Array, sender: Any, start: Any) -> None:
+def _gather_forward(
+    hidden: Array, sending: Array, receiving: Array, sender: Any, start: Any, first: int, last: int
+) -> None:
     width = hidden.shape[1]
-    for i in range(len(start) - 1):
+    for i in range(first, last):
         for e in range(start[i], start[i + 1]):
             j = sender[e]
             for c in range(width):
@@ -68,10 +101,18 @@ def _gather_forward(hidden: Array, sending: Array, receiving: Array, sender: Any
 
 @_compiled
 def _gather_backward(
-    above: Array, hidden: Array, sender: Any, start: Any, to_edge: Array, to_sending: Array, to_receiving: Array
+    above: Array,
+    hidden: Array,
+    sender: Any,
+    start: Any,
+    to_edge: Array,
+    to_receiving: Array,
+    to_sending: Array,
+    first: int,
+    last: int,
 ) -> None:
     width = hidden.shape[1]
-    for i in range(len(start) - 1):
+    for i in range(first, last):
         for e in range(start[i], start[i + 1]):
             j = sender[e]
             for c in range(width):
@@ -83,20 +124,22 @@ def _gather_backward(
 
 @_compiled
 def _norm_forward(
-    epsilon: float,
     value: Array,
     weight: Array,
     bias: Array,
     edge: Array,
     start: Any,
+    epsilon: Array,
     inverse: Array,
     updated: Array,
     received: Array,
+    first: int,
+    last: int,
 ) -> None:
     """Turn `value` into its normalised form in place; fill 1 / deviation, edge + message and the sums of messages."""
     width = value.shape[1]
     keep = updated.shape[0] > 0
-    for i in range(len(start) - 1):
+    for i in range(first, last):
         for e in range(start[i], start[i + 1]):
             total, square = np.float32(0), np.float32(0)
             for c in range(width):
@@ -104,7 +147,7 @@ def _norm_forward(
             mean = total / np.float32(width)
             for c in range(width):
                 square += (value[e, c] - mean) ** 2
-            scale = np.float32(1) / np.sqrt(square / np.float32(width) + np.float32(epsilon))
+            scale = np.float32(1) / np.sqrt(square / np.float32(width) + epsilon[0])
             inverse[e] = scale
             if keep:
                 for c in range(width):
@@ -131,6 +174,8 @@ def _norm_backward(
     to_value: Array,
     to_weight: Array,
     to_bias: Array,
+    first: int,
+    last: int,
 ) -> None:
     width = normal.shape[1]
     share = np.float32(1) / np.float32(width)
@@ -138,7 +183,7 @@ def _norm_backward(
     above = np.empty(width, dtype=np.float32)
     # Sums over the edges of one node first: float32 sums over all edges would lose digits.
     node_weight, node_bias = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
-    for i in range(len(start) - 1):
+    for i in range(first, last):
         node_weight[:] = 0
         node_bias[:] = 0
         for e in range(start[i], start[i + 1]):
@@ -167,7 +212,8 @@ class _Gather(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, edge: Tensor, sending: Tensor, receiving: Tensor, edges: SortedEdges) -> Tensor:
         ctx.mark_dirty(edge)
-        _gather_forward(*_arrays(edge, sending, receiving, edges.sender, edges.start))
+        arrays = _arrays(edge, sending, receiving, edges.sender, edges.start)
+        edges.share(_gather_forward, lambda part: arrays)
         ctx.save_for_backward(edge)
         ctx.edges = edges
         return edge
@@ -178,12 +224,12 @@ class _Gather(torch.autograd.Function):
         (hidden,) = ctx.saved_tensors
         edges: SortedEdges = ctx.edges
         to_edge = torch.empty_like(hidden)
-        to_sending = hidden.new_zeros(len(edges.start) - 1, hidden.shape[1])
-        to_receiving = torch.zeros_like(to_sending)
-        _gather_backward(
-            *_arrays(above.contiguous(), hidden, edges.sender, edges.start, to_edge, to_sending, to_receiving)
-        )
-        return to_edge, to_sending, to_receiving, None
+        # A sender's edges lie in several parts, so each part has sums of its own.
+        to_sending = hidden.new_zeros(len(edges.parts), len(edges.start) - 1, hidden.shape[1])
+        to_receiving = torch.zeros_like(to_sending[0])
+        arrays = _arrays(above.contiguous(), hidden, edges.sender, edges.start, to_edge, to_receiving)
+        edges.share(_gather_backward, lambda part: [*arrays, *_arrays(to_sending[part])])
+        return to_edge, to_sending.sum(dim=0), to_receiving, None
 
 
 class _NormAndSum(torch.autograd.Function):
@@ -203,8 +249,9 @@ class _NormAndSum(torch.autograd.Function):
         inverse = normal.new_empty(len(normal))
         updated = torch.empty_like(edge) if keep else normal.new_empty(0, normal.shape[1])
         received = normal.new_zeros(len(edges.start) - 1, normal.shape[1])
-        arrays = _arrays(normal, weight, bias, edge, edges.start, inverse, updated, received)
-        _norm_forward(epsilon, *arrays)
+        small = normal.new_full((1,), epsilon)
+        arrays = _arrays(normal, weight, bias, edge, edges.start, small, inverse, updated, received)
+        edges.share(_norm_forward, lambda part: arrays)
         ctx.save_for_backward(normal, inverse, weight)
         ctx.edges, ctx.keep = edges, keep
         return updated, received
@@ -214,14 +261,11 @@ class _NormAndSum(torch.autograd.Function):
     def backward(ctx: Any, to_updated: Tensor, to_received: Tensor) -> tuple[Tensor | None, ...]:
         normal, inverse, weight = ctx.saved_tensors
         to_value = torch.empty_like(normal)
-        to_weight, to_bias = torch.zeros_like(weight), torch.zeros_like(weight)
+        to_weight, to_bias = weight.new_zeros(2, len(ctx.edges.parts), len(weight))
         kept = to_updated.contiguous() if ctx.keep else normal.new_empty(0, normal.shape[1])
-        _norm_backward(
-            *_arrays(
-                kept, to_received.contiguous(), normal, inverse, weight, ctx.edges.start, to_value, to_weight, to_bias
-            )
-        )
-        return to_value, to_weight, to_bias, None, to_updated if ctx.keep else None, None, None
+        arrays = _arrays(kept, to_received.contiguous(), normal, inverse, weight, ctx.edges.start, to_value)
+        ctx.edges.share(_norm_backward, lambda part: [*arrays, *_arrays(to_weight[part], to_bias[part])])
+        return to_value, to_weight.sum(dim=0), to_bias.sum(dim=0), None, to_updated if ctx.keep else None, None, None
 
 
 def _arrays(*tensors: Tensor) -> list[NDArray[Any]]:
