@@ -17,6 +17,7 @@ import torch
 
 from gns_pl.errors import InputError
 from gns_pl.io import atomic_path
+from gns_pl.pretrained import find_checkpoint
 from gns_pl.simulator import Simulator, SimulatorConfig
 
 KEY = "gns_pl"
@@ -63,7 +64,7 @@ def read_content(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: no such file, or not one of our checkpoints; the file is named.
     """
-    path = Path(path)
+    path = find_checkpoint(path)
     if not path.is_file():
         raise InputError(f"{path}: there is no such checkpoint.")
     try:
@@ -78,6 +79,9 @@ def read_content(path: str | Path) -> dict[str, Any]:
 
 def load_checkpoint(path: str | Path) -> Checkpoint:
     """Read a checkpoint, from the trainer or from `save_checkpoint`, under `weights_only=True`.
+
+    Args:
+        path: of the file, or the name of a model that comes with the package (`gns_pl.pretrained`).
 
     Raises:
         InputError: no such file, not one of our checkpoints, or of a format that is not read; the file is named.

@@ -15,6 +15,7 @@ from gns_pl.evaluation.curves import Curves, compute_curves, cut, num_finite_fra
 from gns_pl.evaluation.measures import characteristic_time, initial_extent, particle_spacing
 from gns_pl.evaluation.metrics import ERRORS, SUMMARY, rollout_errors, summarise
 from gns_pl.evaluation.scenes import build_scenes
+from gns_pl.pretrained import find_checkpoint, pretrained_names
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 
@@ -49,14 +50,17 @@ def evaluate_config(cfg: DictConfig) -> dict[str, Any]:
     evaluation = settings["evaluation"]
     if not settings["ckpt"]:
         raise InputError("which checkpoint? Name one: python evaluate.py ckpt=runs/…/last.ckpt")
-    checkpoint = Path(settings["ckpt"])
+    checkpoint = find_checkpoint(settings["ckpt"])
     if not checkpoint.is_file():
-        raise InputError(f"{checkpoint}: there is no such checkpoint.")
+        known = ", ".join(pretrained_names())
+        raise InputError(f"{checkpoint}: there is no such checkpoint; those that come with gns_pl are {known}.")
     if evaluation["figures"]:
         check_figures()
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
-    out = Path(settings["out"]) if settings["out"] else checkpoint.parent / "evaluation"
+    named = checkpoint != Path(settings["ckpt"])  # one of the package's, in whose folder nothing is written
+    beside = Path("runs") / checkpoint.stem if named else checkpoint.parent
+    out = Path(settings["out"]) if settings["out"] else beside / "evaluation"
     return evaluate(checkpoint, out=out, cache=Path(settings["cache"]), logger=logger, **evaluation)
 
 

@@ -1,0 +1,18 @@
+"""Checkpoints that come with the package, each with a model card beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+
+
+def pretrained_names() -> list[str]:
+    """Return the names that can stand in the place of a checkpoint's path."""
+    return sorted(path.stem for path in FOLDER.glob("*.ckpt"))
+
+
+def find_checkpoint(path: str | Path) -> Path:
+    """Return the path of a checkpoint: that of a model that comes with the package if a bare name of one is given."""
+    shipped = FOLDER / f"{path}.ckpt"
+    return shipped if str(path) in pretrained_names() and not Path(path).exists() else Path(path)
