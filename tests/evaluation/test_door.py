@@ -31,7 +31,10 @@ def call(folder, *arguments, **environment):
     ("arguments", "message"),
     [
         ((), "which checkpoint? Name one: python evaluate.py ckpt=runs/…/last.ckpt"),
-        (("ckpt=nowhere/last.ckpt",), "nowhere/last.ckpt: there is no such checkpoint; those that come with gns_pl are collapse."),
+        (
+            ("ckpt=nowhere/last.ckpt",),
+            "nowhere/last.ckpt: there is no such checkpoint; those that come with gns_pl are collapse.",
+        ),
         (("ckpt=foreign.ckpt", "evaluation.figures=false"), "foreign.ckpt: is not a readable checkpoint"),
     ],
 )
