@@ -3,6 +3,7 @@
     python benchmarks/training.py                                              # the quickstart's settings
     python benchmarks/training.py +experiment=cube106 training.batch_size=1    # any overrides of conf/train.yaml
     python benchmarks/training.py --blocks 3 --steps 5 --threads 1 …
+    python benchmarks/training.py --processes 2 …   # and train.py with the threads shared among two processes
 
 The reference is the same network with the same weights, data, batches, noise, loss and optimiser, written plainly: edge
 inputs concatenated from both ends and the edge, `index_add` for the sums, a k-d tree per graph in the training process,
@@ -17,9 +18,13 @@ import argparse
 import copy
 import dataclasses
 import itertools
+import json
 import multiprocessing
+import os
 import platform
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -178,6 +183,19 @@ def time_whole(cfg: Any, module: SimulatorModule, data: TrajectoryDataModule, st
     return [after - before for before, after in itertools.pairwise(pace.ends)]
 
 
+def time_processes(overrides: list[str], processes: int, threads: int, steps: int) -> float:
+    """Return the median seconds of a step of train.py in which processes share windows and threads."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, str(Path(__file__).resolve().parents[1] / "train.py"), *overrides]
+        command += [f"hydra.run.dir={folder}", "trainer.accelerator=cpu", f"trainer.devices={processes}"]
+        command += [f"trainer.max_steps={steps}", "trainer.log_every_n_steps=10", "+trainer.limit_val_batches=0"]
+        command += ["~logger.wandb", "~callbacks.progress", "trainer.enable_progress_bar=false"]
+        environment = os.environ | {"OMP_NUM_THREADS": str(threads // processes)}
+        subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
+        paces = json.loads((Path(folder) / "summary.json").read_text())["step_seconds"]
+    return float(paces)
+
+
 def largest_difference(module: SimulatorModule) -> float:
     """Return the largest difference of the two networks' outputs, relative to the outputs' root mean square."""
     generator = torch.Generator().manual_seed(0)
@@ -223,6 +241,7 @@ def main() -> None:
     parser.add_argument("--blocks", type=int, default=5)
     parser.add_argument("--steps", type=int, default=20, help="steps per block")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
+    parser.add_argument("--processes", type=int, help="also train.py with so many; they share the threads")
     parser.add_argument("overrides", nargs="*", default=["+experiment=quickstart"], help="of conf/train.yaml")
     arguments = parser.parse_args()
     cfg, module, data = prepare(arguments.overrides, arguments.threads)
@@ -258,7 +277,11 @@ def main() -> None:
         print(f"{kind:10} {1e3 * medians[kind]:10.2f} {windows / medians[kind]:10.1f}  {split}")
     medians["train.py"] = statistics.median(whole)
     print(f"{'train.py':10} {1e3 * medians['train.py']:10.2f} {windows / medians['train.py']:10.1f}")
-    for kind in ("step", "train.py"):
+    if arguments.processes:
+        kind, steps = f"train.py, {arguments.processes} processes", arguments.steps * (arguments.blocks + 1)
+        medians[kind] = time_processes(arguments.overrides, arguments.processes, arguments.threads, steps)
+        print(f"{kind:21} {1e3 * medians[kind]:.2f} {windows / medians[kind]:10.1f}")
+    for kind in list(medians)[1:]:
         print(f"{kind} over reference: {medians['reference'] / medians[kind]:.2f} times as fast")
 
 
