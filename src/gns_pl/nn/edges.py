@@ -60,14 +60,14 @@ class SortedEdges:
         inner = torch.searchsorted(start, torch.arange(1, threads) * (len(sender) // threads)).tolist()
         return cls(sender.contiguous(), start, tuple(itertools.pairwise([0, *inner, num_nodes])))
 
-    def share(self, loop: Callable[..., None], arguments: Callable[[int], list[NDArray[Any]]]) -> None:
+    def share(self, loop: Callable[..., None], arguments: Callable[[int], list[Any]]) -> None:
         """Run a compiled loop over the receivers of every part, each in a thread of its own.
 
         Args:
             loop: called with arguments and the bounds of a part.
             arguments: of a part, by its number.
         """
-        pool = _pool(os.getpid()) if len(self.parts) > 1 else None
+        pool = thread_pool(os.getpid()) if len(self.parts) > 1 else None
         others = [pool.submit(loop, *arguments(k), *part) for k, part in enumerate(self.parts) if k and pool]
         loop(*arguments(0), *self.parts[0])
         for other in others:
@@ -75,9 +75,13 @@ class SortedEdges:
 
 
 @functools.cache
-def _pool(process: int) -> ThreadPoolExecutor:
-    """Return the threads of a process; a child that was forked has none of its parent's."""
-    return ThreadPoolExecutor(os.cpu_count())
+def thread_pool(process: int) -> ThreadPoolExecutor:
+    """Return the threads of a process, each with one for torch; a child that was forked has none of its parent's.
+
+    Args:
+        process: its number, `os.getpid()`.
+    """
+    return ThreadPoolExecutor(os.cpu_count(), initializer=torch.set_num_threads, initargs=(1,))
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -87,16 +91,53 @@ _compiled: Callable[[F], F] = numba.njit(
 
 
 @_compiled
-def _gather_forward(
-    hidden: Array, sending: Array, receiving: Array, sender: Any, start: Any, first: int, last: int
+def gather_block(
+    hidden: Array, sending: Array, receiving: Array, sender: Any, start: Any, offset: int, first: int, last: int
 ) -> None:
+    """Add both ends' parts to a block's hidden values and rectify them; row 0 is edge `offset`."""
     width = hidden.shape[1]
     for i in range(first, last):
         for e in range(start[i], start[i + 1]):
-            j = sender[e]
+            j, k = sender[e], e - offset
             for c in range(width):
-                value = hidden[e, c] + sending[j, c] + receiving[i, c]
-                hidden[e, c] = np.float32(0) if value <= 0 else value  # so that NaN stays NaN
+                value = hidden[k, c] + sending[j, c] + receiving[i, c]
+                hidden[k, c] = np.float32(0) if value <= 0 else value  # so that NaN stays NaN
+
+
+@_compiled
+def norm_block(
+    epsilon: Any,
+    value: Array,
+    weight: Array,
+    bias: Array,
+    edge: Array,
+    start: Any,
+    received: Array,
+    keep: bool,
+    offset: int,
+    first: int,
+    last: int,
+) -> None:
+    """Sum a block's normalised messages at their receivers and, if kept, add them to the edge states in place."""
+    width = value.shape[1]
+    for i in range(first, last):
+        for e in range(start[i], start[i + 1]):
+            k = e - offset
+            total, square = np.float32(0), np.float32(0)
+            for c in range(width):
+                total += value[k, c]
+            mean = total / np.float32(width)
+            for c in range(width):
+                square += (value[k, c] - mean) ** 2
+            scale = np.float32(1) / np.sqrt(square / np.float32(width) + epsilon)
+            if keep:
+                for c in range(width):
+                    message = (value[k, c] - mean) * scale * weight[c] + bias[c]
+                    edge[e, c] += message
+                    received[i, c] += message
+            else:
+                for c in range(width):
+                    received[i, c] += (value[k, c] - mean) * scale * weight[c] + bias[c]
 
 
 @_compiled
@@ -213,7 +254,7 @@ class _Gather(torch.autograd.Function):
     def forward(ctx: Any, edge: Tensor, sending: Tensor, receiving: Tensor, edges: SortedEdges) -> Tensor:
         ctx.mark_dirty(edge)
         arrays = _arrays(edge, sending, receiving, edges.sender, edges.start)
-        edges.share(_gather_forward, lambda part: arrays)
+        edges.share(gather_block, lambda part: [*arrays, 0])
         ctx.save_for_backward(edge)
         ctx.edges = edges
         return edge

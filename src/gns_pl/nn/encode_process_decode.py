@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from torch import Tensor, nn
 
+from gns_pl.nn.blocks import process_in_blocks
 from gns_pl.nn.edges import SortedEdges
 from gns_pl.nn.interaction_network import InteractionNetwork
 from gns_pl.nn.mlp import mlp
@@ -62,10 +65,12 @@ class EncodeProcessDecode(nn.Module):
         able = self.compiled_edges and node.device.type == "cpu" and node.dtype == torch.float32
         able = able and not torch.is_autocast_enabled("cpu")
         sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
-        node, edge = self.node_encoder(node), self.edge_encoder(edge)
+        node = self.node_encoder(node)
+        if sorted_edges is not None and not torch.is_grad_enabled():
+            return cast(Tensor, self.decoder(process_in_blocks(self, node, edge, sorted_edges)))
+        edge = self.edge_encoder(edge)
         for layer in self.processor:
             last = self.static_edges or layer is self.processor[-1]
             node, updated = layer(node, edge, edge_index, sorted_edges, last=last)
             edge = edge if self.static_edges else updated
-        decoded: Tensor = self.decoder(node)
-        return decoded
+        return cast(Tensor, self.decoder(node))
