@@ -184,6 +184,7 @@ class Simulator(nn.Module):
             static,
             velocity_scale=self.velocity_scale,
             radius=config.connectivity_radius,
+            spacing=config.spacing,
             particle_types=config.particle_types,
             material_scale=self.material_scale,
             context=config.context,

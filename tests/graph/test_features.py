@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
+import pytest
 import torch
 
 from gns_pl.graph import edge_features, edge_width, node_features, node_width
@@ -19,6 +21,7 @@ def features(
         make_static(len(position)),
         velocity_scale=torch.tensor(2.0),
         radius=0.1,
+        spacing=0.05,
         particle_types=types,
         material_scale=SCALE,
         context=context,
@@ -47,3 +50,22 @@ def test_edges_point_from_receiver_to_sender() -> None:
     position = torch.tensor([[0.0, 0.0, 0.0], [0.03, 0.0, 0.04]])
     edges = edge_features(position, torch.tensor([[1], [0]]), 0.1)
     torch.testing.assert_close(edges, torch.tensor([[0.3, 0.0, 0.4, 0.5]]))
+
+
+def test_density_counts_particles_whatever_they_weigh() -> None:
+    """Thinned particles stand for more or less than their cell; a sound lattice is sound all the same."""
+    axis = torch.arange(0.025, 1, 0.05)
+    position = torch.cartesian_prod(axis, axis, axis[:8])
+    rows = []
+    for weight in (0.8, 1.0):
+        static = dataclasses.replace(make_static(len(position)), volume=torch.full((len(position),), weight * 0.05**3))
+        given = {"velocity_scale": torch.tensor(1.0), "radius": 0.1, "spacing": 0.05, "particle_types": (6,)}
+        rows.append(node_features(still(position), position, static, **given, material_scale=SCALE, context=True))
+    thickness, density = 3 + 6 + 1, 3 + 6 + 3  # behind the velocity and the walls: floor, thickness, empty, density
+    torch.testing.assert_close(rows[0][:, density], rows[1][:, density])
+    torch.testing.assert_close(rows[0][:, thickness], 0.8 * rows[1][:, thickness])
+    assert rows[0][position[:, 2] < 0.25, density].mean() == pytest.approx(2.0, rel=0.02)
+
+
+def still(position: torch.Tensor) -> torch.Tensor:
+    return torch.zeros_like(position)[:, None]

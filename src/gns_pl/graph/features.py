@@ -71,6 +71,7 @@ def node_features(
     *,
     velocity_scale: Tensor,
     radius: float,
+    spacing: float,
     particle_types: tuple[int, ...],
     material_scale: Tensor,
     context: bool,
@@ -83,10 +84,11 @@ def node_features(
         static: the scenes.
         velocity_scale: [] [m/s], velocities are divided by it.
         radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
+        spacing: of the particles [m].
         particle_types: the types that occur; coded one-hot if there are several.
         material_scale: [2, K] mean and standard deviation of the material features.
         context: add the distance to the floor within `REACH` radii, thickness and momentum of the overburden, the empty
-            height below within `EMPTY` radii and the solid fraction.
+            height below within `EMPTY` radii and the density of particles, in units of one per cell of the lattice.
 
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
@@ -101,6 +103,9 @@ def node_features(
         )
         floor = (to_lower[:, -1] / (REACH * radius)).clamp(-1, 1)
         empty = (empty / radius).clamp(-EMPTY, EMPTY)
+        # Particles of a thinned set stand for more or less than their lattice cell, by up to a tenth in small bodies.
+        # What is sound is one particle per cell, whatever it weighs: thus the density of particles, not of volume.
+        fraction = fraction * spacing ** position.shape[1] / static.volume
         parts.append(torch.stack([floor, thickness / (REACH * radius), empty, 2 * fraction], dim=1))
         parts.append(momentum / (REACH * radius * velocity_scale))
     if len(particle_types) > 1:
