@@ -51,6 +51,7 @@ def plot_learning_curve(
                 _draw_relative(column[2], factor * validation[name], validation)
             column[2].set_xlabel(label)
             column[2].set_xlim(left=0)
+            column[2].locator_params(axis="x", nbins=5)  # five figures of a long training have room
         grid[0, 0].set_ylabel("training loss")
         grid[1, 0].set_ylabel("rollout position error [spacings]")
         grid[2, 0].set_ylabel("rollout error [%]")
