@@ -52,6 +52,8 @@ ROWS = {
 }
 ERRORS = {"runout_99_error": "runout", "mean_height_error": "mean height", "speed_mean": "speed at the end [m/s]"}
 TRAIN = Path(__file__).parents[1] / "train.py"
+THREADS = {"OMP_NUM_THREADS": "1"}
+"""So small a network gains little from a second thread; two tables side by side gain a factor of two."""
 
 
 def train(folder: Path, steps: int, overrides: Sequence[str]) -> None:
@@ -65,10 +67,6 @@ def train(folder: Path, steps: int, overrides: Sequence[str]) -> None:
     command += ["~callbacks.progress", "trainer.enable_progress_bar=false", *overrides]
     with (folder / "output.txt").open("a") as output:
         subprocess.run(command, check=True, stdout=output, stderr=subprocess.STDOUT, env=os.environ | THREADS)
-
-
-THREADS = {"OMP_NUM_THREADS": "1"}
-"""So small a network gains little from a second thread; two tables side by side gain a factor of two."""
 
 
 def columns_of(root: Path) -> dict[str, Trajectory]:

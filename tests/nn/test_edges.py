@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.nn import EncodeProcessDecode
-from gns_pl.nn.edges import SortedEdges
+from gns_pl.nn.sorted_edges import SortedEdges
 
 
 def make_graph(nodes: int = 40, edges: int = 300) -> tuple[Tensor, Tensor, Tensor]:
@@ -102,7 +102,7 @@ def test_receivers_shared_among_threads(edges: int, monkeypatch: pytest.MonkeyPa
     """Three threads give the values and gradients of one, up to the order of sums, and the same bits twice."""
     graph, network = make_graph(edges=edges), make_network(1)
     alone = results(network, *graph)
-    monkeypatch.setattr("gns_pl.nn.edges.LEAST_EDGES", 1)
+    monkeypatch.setattr("gns_pl.nn.sorted_edges.LEAST_EDGES", 1)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 3)
     parts = SortedEdges.of(graph[2], len(graph[0])).parts  # type: ignore[union-attr]
     assert parts[0][0] == 0 and parts[-1][1] == len(graph[0]) and len(parts) == min(3, max(1, edges))

@@ -9,12 +9,7 @@ which receivers are shared out.
 
 from __future__ import annotations
 
-import functools
-import itertools
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numba
@@ -24,65 +19,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from gns_pl.nn.sorted_edges import SortedEdges
+
 Array = NDArray[np.float32]
-
-LEAST_EDGES = 4000
-"""A further thread is not worth its start for fewer edges."""
-
-
-@dataclass(frozen=True)
-class SortedEdges:
-    """Edges in the order of their receivers.
-
-    Attributes:
-        sender: [E] int64.
-        start: first edge of every receiver, and E at the end [N + 1] int64.
-        parts: first receiver of every thread and the one after its last, with about as many edges each.
-    """
-
-    sender: Tensor
-    start: Tensor
-    parts: tuple[tuple[int, int], ...]
-
-    @classmethod
-    def of(cls, edge_index: Tensor, num_nodes: int) -> SortedEdges | None:
-        """Return the edges, or None if they are not sorted by receiver.
-
-        Args:
-            edge_index: [2, E], sender and receiver.
-            num_nodes: N.
-        """
-        sender, receiver = edge_index
-        if bool((receiver[1:] < receiver[:-1]).any()):
-            return None
-        start = torch.searchsorted(receiver.contiguous(), torch.arange(num_nodes + 1))
-        threads = max(1, min(torch.get_num_threads(), len(sender) // LEAST_EDGES))
-        inner = torch.searchsorted(start, torch.arange(1, threads) * (len(sender) // threads)).tolist()
-        return cls(sender.contiguous(), start, tuple(itertools.pairwise([0, *inner, num_nodes])))
-
-    def share(self, loop: Callable[..., None], arguments: Callable[[int], list[Any]]) -> None:
-        """Run a compiled loop over the receivers of every part, each in a thread of its own.
-
-        Args:
-            loop: called with arguments and the bounds of a part.
-            arguments: of a part, by its number.
-        """
-        pool = thread_pool(os.getpid()) if len(self.parts) > 1 else None
-        others = [pool.submit(loop, *arguments(k), *part) for k, part in enumerate(self.parts) if k and pool]
-        loop(*arguments(0), *self.parts[0])
-        for other in others:
-            other.result()
-
-
-@functools.cache
-def thread_pool(process: int) -> ThreadPoolExecutor:
-    """Return the threads of a process, each with one for torch; a child that was forked has none of its parent's.
-
-    Args:
-        process: its number, `os.getpid()`.
-    """
-    return ThreadPoolExecutor(os.cpu_count(), initializer=torch.set_num_threads, initargs=(1,))
-
 
 F = TypeVar("F", bound=Callable[..., Any])
 _compiled: Callable[[F], F] = numba.njit(
@@ -102,42 +41,6 @@ def gather_block(
             for c in range(width):
                 value = hidden[k, c] + sending[j, c] + receiving[i, c]
                 hidden[k, c] = np.float32(0) if value <= 0 else value  # so that NaN stays NaN
-
-
-@_compiled
-def norm_block(
-    epsilon: Any,
-    value: Array,
-    weight: Array,
-    bias: Array,
-    edge: Array,
-    start: Any,
-    received: Array,
-    keep: bool,
-    offset: int,
-    first: int,
-    last: int,
-) -> None:
-    """Sum a block's normalised messages at their receivers and, if kept, add them to the edge states in place."""
-    width = value.shape[1]
-    for i in range(first, last):
-        for e in range(start[i], start[i + 1]):
-            k = e - offset
-            total, square = np.float32(0), np.float32(0)
-            for c in range(width):
-                total += value[k, c]
-            mean = total / np.float32(width)
-            for c in range(width):
-                square += (value[k, c] - mean) ** 2
-            scale = np.float32(1) / np.sqrt(square / np.float32(width) + epsilon)
-            if keep:
-                for c in range(width):
-                    message = (value[k, c] - mean) * scale * weight[c] + bias[c]
-                    edge[e, c] += message
-                    received[i, c] += message
-            else:
-                for c in range(width):
-                    received[i, c] += (value[k, c] - mean) * scale * weight[c] + bias[c]
 
 
 @_compiled
@@ -164,43 +67,49 @@ def _gather_backward(
 
 
 @_compiled
-def _norm_forward(
+def norm_block(
     value: Array,
     weight: Array,
     bias: Array,
     edge: Array,
     start: Any,
-    epsilon: Array,
+    epsilon: Any,
     inverse: Array,
     updated: Array,
     received: Array,
+    offset: int,
     first: int,
     last: int,
 ) -> None:
-    """Turn `value` into its normalised form in place; fill 1 / deviation, edge + message and the sums of messages."""
+    """Turn a block's values into their normalised form in place; row 0 is edge `offset`.
+
+    Fill 1 / deviation, add the messages to the sums at their receivers, and set `updated` to edge + message unless it
+    is empty; it may be `edge` itself.
+    """
     width = value.shape[1]
     keep = updated.shape[0] > 0
     for i in range(first, last):
         for e in range(start[i], start[i + 1]):
+            k = e - offset
             total, square = np.float32(0), np.float32(0)
             for c in range(width):
-                total += value[e, c]
+                total += value[k, c]
             mean = total / np.float32(width)
             for c in range(width):
-                square += (value[e, c] - mean) ** 2
-            scale = np.float32(1) / np.sqrt(square / np.float32(width) + epsilon[0])
-            inverse[e] = scale
+                square += (value[k, c] - mean) ** 2
+            scale = np.float32(1) / np.sqrt(square / np.float32(width) + epsilon)
+            inverse[k] = scale
             if keep:
                 for c in range(width):
-                    normal = (value[e, c] - mean) * scale
+                    normal = (value[k, c] - mean) * scale
                     message = normal * weight[c] + bias[c]
-                    value[e, c] = normal
+                    value[k, c] = normal
                     updated[e, c] = edge[e, c] + message
                     received[i, c] += message
             else:
                 for c in range(width):
-                    normal = (value[e, c] - mean) * scale
-                    value[e, c] = normal
+                    normal = (value[k, c] - mean) * scale
+                    value[k, c] = normal
                     received[i, c] += normal * weight[c] + bias[c]
 
 
@@ -290,9 +199,9 @@ class _NormAndSum(torch.autograd.Function):
         inverse = normal.new_empty(len(normal))
         updated = torch.empty_like(edge) if keep else normal.new_empty(0, normal.shape[1])
         received = normal.new_zeros(len(edges.start) - 1, normal.shape[1])
-        small = normal.new_full((1,), epsilon)
-        arrays = _arrays(normal, weight, bias, edge, edges.start, small, inverse, updated, received)
-        edges.share(_norm_forward, lambda part: arrays)
+        before = _arrays(normal, weight, bias, edge, edges.start)
+        behind = _arrays(inverse, updated, received)
+        edges.share(norm_block, lambda part: [*before, np.float32(epsilon), *behind, 0])
         ctx.save_for_backward(normal, inverse, weight)
         ctx.edges, ctx.keep = edges, keep
         return updated, received

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.nn.blocks import process_in_blocks
-from gns_pl.nn.edges import SortedEdges
 from gns_pl.nn.interaction_network import InteractionNetwork
 from gns_pl.nn.mlp import mlp
+from gns_pl.nn.sorted_edges import SortedEdges
 
 
 class EncodeProcessDecode(nn.Module):

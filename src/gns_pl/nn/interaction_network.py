@@ -8,8 +8,9 @@ import torch
 from torch import Tensor, nn
 from torch_geometric.nn import MessagePassing
 
-from gns_pl.nn.edges import SortedEdges, gather_and_rectify, norm_and_sum
+from gns_pl.nn.edges import gather_and_rectify, norm_and_sum
 from gns_pl.nn.mlp import mlp
+from gns_pl.nn.sorted_edges import SortedEdges
 
 
 class InteractionNetwork(MessagePassing):  # type: ignore[misc]
