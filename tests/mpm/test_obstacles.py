@@ -97,7 +97,7 @@ def test_nothing_gets_into_a_box_and_a_wide_one_stops_the_flow(dim: int) -> None
 
 
 def test_the_example_scene_runs_around_its_barrier() -> None:
-    scene = read_scene("conf/scene/slope_with_barrier.yaml").replace(duration=0.6)
+    scene = read_scene("scenes/slope_with_barrier.yaml").replace(duration=0.6)
     run = simulate(scene, make_mpm(points_per_direction=2, jitter=0.5), frame_interval=0.02)
     for obstacle in scene.obstacles:
         assert all(signed_distance(obstacle, frame)[0].min() >= -1e-6 for frame in run.position)

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.rollout import rollout
+from gns_pl.rollout import Run, rollout, unroll
 from gns_pl.scene import Plane, Scene, Wall
 from tests.conftest import make_moving, make_simulator, make_start
 
@@ -67,3 +69,35 @@ def test_a_scene_with_obstacles_is_refused(drop: Scene) -> None:
     slope = Plane((0, 0, 0.1), (1, 0, 3), Wall("slip"))
     with pytest.raises(InputError, match="scene 'cube_drop' has obstacles, and a learned simulator knows no obstacles"):
         rollout(make_simulator(), make_start(drop.replace(obstacles=(slope,))), 1)
+
+
+def test_scenes_in_one_batch_move_as_each_alone(drop: Scene, column: Scene) -> None:
+    simulator = make_simulator(output="gated", context=True)
+    starts = [make_start(drop), make_start(column)]
+    together: list[list[np.ndarray]] = [[], []]
+    with torch.inference_mode():
+        for parts in unroll(simulator, [Run(starts[0], 7), Run(starts[1], 4)]):
+            for number, position in parts.items():
+                together[number].append(position.numpy())
+    assert [len(frames) for frames in together] == [7, 4]
+    for start, frames in zip(starts, together, strict=True):
+        alone = rollout(simulator, start, len(frames)).position[1:]
+        np.testing.assert_allclose(np.stack(frames), alone, atol=2e-6)
+
+
+def test_one_scene_of_a_batch_explodes_and_the_others_go_on(drop: Scene) -> None:
+    simulator, start = make_simulator(), make_start(drop)
+    wild = replace(start, initial_velocity=np.full_like(start.initial_velocity, 1e30))
+    with torch.inference_mode():
+        seen = [sorted(parts) for parts in unroll(simulator, [Run(wild, 5), Run(start, 5)])]
+    assert seen == [[1]] * 5
+
+
+def test_going_on_from_the_last_frames_is_exact(drop: Scene) -> None:
+    simulator, start = make_simulator(), make_start(drop)
+    whole = rollout(simulator, start, 9).position
+    for made in (1, 2, 5):  # fewer and more than the history needs
+        run = Run(start, 9 - made, past=whole[max(0, made - 6) : made + 1], made=made)
+        with torch.inference_mode():
+            rest = [parts[0].numpy() for parts in unroll(simulator, [run])]
+        np.testing.assert_array_equal(np.stack(rest), whole[made + 1 :])

@@ -8,7 +8,7 @@ import pytest
 
 from gns_pl.scene import fill_scene, read_scene
 
-FILES = sorted((Path(__file__).parents[2] / "conf/scene").glob("*.yaml"))
+FILES = sorted((Path(__file__).parents[2] / "scenes").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

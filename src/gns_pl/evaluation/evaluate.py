@@ -118,6 +118,7 @@ def evaluate(
     """
     from gns_pl.checkpoint import load_checkpoint
     from gns_pl.evaluation import report, tracking
+    from gns_pl.rollout.simulate import move
 
     checkpoint = load_checkpoint(checkpoint_path)
     if "mpm" not in checkpoint.data:
@@ -135,7 +136,7 @@ def evaluate(
         if scene.obstacles:  # said here, before minutes of MPM
             raise InputError(f"scene {name!r} has obstacles, and a learned simulator knows no obstacles yet.")
     _make_folder(out)
-    _move(checkpoint, device)
+    move(checkpoint, device)
     results, files = {}, []
     for name, scene in built.items():
         print(f"{name}: MPM (computed once, then cached) and the learned rollout …", flush=True)
@@ -173,16 +174,16 @@ def judge_scene(name: str, scene: Scene, checkpoint: Checkpoint, *, cache: Path,
         cache: folder of references.
         seed: of the particles' placement.
     """
-    from gns_pl.evaluation.progress import counting
     from gns_pl.generation import chosen_every, reference_trajectory, thin_trajectory
     from gns_pl.rollout import rollout
+    from gns_pl.rollout.progress import counting
 
     interval, mpm = checkpoint.simulator.config.dt, checkpoint.data["mpm"]
     reference = reference_trajectory(scene, mpm=mpm, frame_interval=interval, seed=seed, cache_directory=cache)
     every = chosen_every(checkpoint.data)
     middle = [(every - 1) // 2] * scene.dim  # of the lattices to choose from, the one that stands least to one side
     reference = thin_trajectory(reference, mpm, seed, every, middle)
-    with counting(f"{name}: learned rollout") as on_step:
+    with counting(f"{name}: learned rollout", interval) as on_step:
         learned = rollout(checkpoint.simulator, cut(reference, 1), reference.num_frames - 1, on_step=on_step)
     finite = num_finite_frames(learned)
     failed_at = finite * learned.dt if finite < reference.num_frames else None
@@ -234,16 +235,6 @@ def _make_folder(out: Path) -> None:
         raise InputError(f"{out}: cannot be created ({error.strerror}); choose another folder with out=…") from error
     if not os.access(out, os.W_OK):
         raise InputError(f"{out}: cannot be written; choose another folder with out=…")
-
-
-def _move(checkpoint: Checkpoint, device: str) -> None:
-    import torch
-
-    name = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
-    try:
-        checkpoint.simulator.to(torch.device(name))
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"evaluation.device={device} cannot be used here ({str(error).splitlines()[0]}).") from error
 
 
 def _write_trajectories(name: str, result: SceneResult, out: Path) -> list[Path]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,10 @@ from gns_pl.trajectory import Trajectory
 CHUNK_BYTES = 64 * 1024
 """Frames share a chunk up to this size. Measured: larger chunks, LZF and gzip make windows slower."""
 
-_LIBRARY = ("v110", "v110")  # checksummed metadata, readable by every HDF5 since 1.10
+GROWING = ".growing"
+"""Behind the name of a file to which frames are still added (`io.stream`)."""
+
+LIBRARY = ("v110", "v110")  # checksummed metadata, readable by every HDF5 since 1.10
 
 
 @dataclass(frozen=True)
@@ -65,17 +69,41 @@ def write_trajectory(path: str | Path, trajectory: Trajectory) -> None:
     arrays = {field.name: np.asarray(getattr(trajectory, field.name), dtype=field.dtype) for field in FIELDS}
     _check_finite(path, arrays)
     buffer = io.BytesIO()
-    with h5py.File(buffer, "w", libver=_LIBRARY) as file:
-        _write_metadata(file, trajectory)
-        for field in FIELDS:
-            array = arrays[field.name]
-            options: dict[str, Any] = {}
-            if array.size:
-                frames = max(1, CHUNK_BYTES // array[0].nbytes) if field is POSITION else len(array)
-                options = {"chunks": (min(frames, len(array)), *array.shape[1:]), "fletcher32": True}
-            file.create_dataset(schema.LOCATION[field.name], data=array, track_times=False, **options)
-        _write_attributes(file, trajectory)
+    with h5py.File(buffer, "w", libver=LIBRARY) as file:
+        write_content(file, trajectory, arrays)
     write_atomically(path, buffer.getbuffer())
+
+
+def write_content(
+    file: h5py.File, trajectory: Trajectory, arrays: Mapping[str, NDArray[Any]], *, growing: bool = False
+) -> None:
+    """Write everything a trajectory file holds into an empty, open one.
+
+    Args:
+        file: open for writing.
+        trajectory: what is not an array.
+        arrays: of every field, in its stored type; one without frames still says what a frame is.
+        growing: frames can be added to the positions later.
+    """
+    _write_metadata(file, trajectory)
+    for field in FIELDS:
+        array = arrays[field.name]
+        options: dict[str, Any] = {}
+        length = len(array)
+        if field is POSITION:
+            length = frames_per_chunk(array.shape[1:], array.itemsize)
+            length = length if growing else min(length, len(array))
+        if array.size or (growing and field is POSITION):
+            options = {"chunks": (length, *array.shape[1:]), "fletcher32": True}
+        if growing and field is POSITION:
+            options["maxshape"] = (None, *array.shape[1:])
+        file.create_dataset(schema.LOCATION[field.name], data=array, track_times=False, **options)
+    _write_attributes(file, trajectory)
+
+
+def frames_per_chunk(shape: tuple[int, ...], itemsize: int = 4) -> int:
+    """Return how many frames of a shape share a chunk."""
+    return max(1, CHUNK_BYTES // (itemsize * math.prod(shape)))
 
 
 def _write_metadata(file: Any, trajectory: Trajectory) -> None:
@@ -206,7 +234,7 @@ def read_window(source: str | Path | h5py.File, start: int, length: int) -> NDAr
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     with _named(path):
-        file = h5py.File(path, "r", locking=False)
+        file = h5py.File(path, "r", locking=False, swmr=path.name.endswith(GROWING))
     with file:
         yield file
 

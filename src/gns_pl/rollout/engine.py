@@ -1,61 +1,75 @@
-"""The plain loop: step, append, repeat. What accelerates it later must agree with it."""
+"""The loop: step, hand the frames on, repeat. Any number of scenes at once, from their first frame or from later ones.
+
+`unroll` is the loop, and keeps nothing but the history a step needs; `rollout` collects its frames, `rollout.stream`
+writes them to files, `rollout.gradient` differentiates through the same steps. What accelerates a step stands in
+`rollout.acceleration`.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
-from gns_pl.simulator import Simulator
+from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 
-def static_of(trajectory: Trajectory) -> Static:
-    """Return the time-independent tensors of one trajectory, B = 1."""
-    scene = trajectory.scene
+@dataclass(frozen=True)
+class Run:
+    """One scene on its way.
+
+    Attributes:
+        start: its first frame, initial velocity, types, material and scene; later frames only for kinematic particles,
+            whose script they are.
+        num_steps: frames to add.
+        past: frames made before, the latest last [K, N, D] [m]; the first frame of `start` alone if None.
+        made: number of the latest of them.
+    """
+
+    start: Trajectory
+    num_steps: int
+    past: NDArray[np.float32] | None = None
+    made: int = 0
+
+
+def static_of(*trajectories: Trajectory) -> Static:
+    """Return the time-independent tensors of trajectories, one scene each."""
+    scenes = [trajectory.scene for trajectory in trajectories]
+    numbers = torch.tensor([trajectory.num_particles for trajectory in trajectories])
     return Static(
-        particle_type=torch.from_numpy(trajectory.particle_type),
-        material=torch.from_numpy(trajectory.material),
-        volume=torch.from_numpy(trajectory.volume()),
-        lower=torch.tensor([scene.lower], dtype=torch.float32),
-        upper=torch.tensor([scene.upper], dtype=torch.float32),
-        gravity=torch.tensor([scene.gravity], dtype=torch.float32),
-        batch=torch.zeros(trajectory.num_particles, dtype=torch.int64),
+        particle_type=torch.cat([torch.from_numpy(each.particle_type) for each in trajectories]),
+        material=torch.cat([torch.from_numpy(each.material) for each in trajectories]),
+        volume=torch.cat([torch.from_numpy(each.volume()) for each in trajectories]),
+        lower=torch.tensor([scene.lower for scene in scenes], dtype=torch.float32),
+        upper=torch.tensor([scene.upper for scene in scenes], dtype=torch.float32),
+        gravity=torch.tensor([scene.gravity for scene in scenes], dtype=torch.float32),
+        batch=torch.arange(len(scenes)).repeat_interleave(numbers),
     )
 
 
-def rollout(
-    simulator: Simulator,
-    start: Trajectory,
-    num_steps: int,
-    *,
-    on_step: Callable[[int, int], None] | None = None,
-) -> Trajectory:
-    """Unroll `simulator` from the first frame of `start`, on the device its weights are on.
+def history_of(run: Run, config: SimulatorConfig) -> Tensor:
+    """Return the positions a step needs [N, H, D] [m].
 
-    The history before the first frame is ballistic (x0 − k v0 Δt), so a scene alone is enough to start from. The loop
-    ends early at the first frame that is not finite; the frames before it are returned.
-
-    Args:
-        simulator: makes one step.
-        start: its first frame, initial velocity, types, material and scene are used; later frames only for kinematic
-            particles, whose script they are.
-        num_steps: frames to add.
-        on_step: called with the number of steps made and `num_steps`.
-
-    Returns:
-        Up to `num_steps` + 1 frames at the simulator's time step; `provenance["wall_seconds"]` is the time of the loop,
-        `provenance["failed_at"]` [s] is there if it ended early.
-
-    Raises:
-        InputError: a start that does not fit the simulator.
+    Before the first frame they are ballistic (x0 − k v0 Δt), so that a scene alone is enough to start from.
     """
-    config = simulator.config
+    length, start = config.input_sequence_length, run.start
+    made = start.position[:1] if run.past is None else run.past[-length:]
+    before = ballistic_history(start.position[0], start.initial_velocity, config.dt, length)[:-1]
+    positions = np.concatenate([before, made])[-length:].astype(np.float32)
+    return torch.from_numpy(positions).transpose(0, 1).contiguous()
+
+
+def check_run(run: Run, config: SimulatorConfig) -> None:
+    """Raise an `InputError` if a start does not fit the simulator."""
+    start = run.start
     if start.scene.dim != config.dim:
         raise InputError(f"this simulator has {config.dim} dimensions, scene {start.scene.name!r} {start.scene.dim}.")
     if start.scene.obstacles:
@@ -68,30 +82,102 @@ def rollout(
     unknown = sorted(set(np.unique(start.particle_type).tolist()) - set(config.particle_types))
     if unknown:
         raise InputError(f"particle types {unknown} were not in the simulator's data.")
-    device = simulator.velocity_scale.device
-    static = static_of(start).to(device)
-    scripted = ~static.moved.cpu().numpy()
-    if scripted.any() and (start.num_frames <= num_steps or not np.isclose(start.dt, config.dt)):
+    scripted = not bool(static_of(start).moved.all())
+    if scripted and (start.num_frames <= run.made + run.num_steps or not np.isclose(start.dt, config.dt)):
         raise InputError("kinematic particles need a script: positions in every frame at the simulator's time step.")
-    past = ballistic_history(start.position[0], start.initial_velocity, config.dt, config.input_sequence_length)
-    history = torch.from_numpy(past).transpose(0, 1).contiguous().to(device, torch.float32)
+
+
+def unroll(
+    simulator: Simulator, runs: Sequence[Run], step: Callable[[Tensor, Static], Tensor] | None = None
+) -> Iterator[dict[int, Tensor]]:
+    """Step scenes together, on the device the simulator's weights are on, until each has made its steps.
+
+    A scene whose positions stop being finite is stepped no more, and neither is one that is done; the others go on.
+
+    Args:
+        simulator: makes one step.
+        runs: the scenes.
+        step: what makes the steps in the simulator's place, with the same arguments and result.
+
+    Yields:
+        After every step, number of the scene → its positions [N, D] [m], of those that made it and are finite.
+
+    Raises:
+        InputError: a start that does not fit the simulator.
+    """
+    for run in runs:
+        check_run(run, simulator.config)
+    step = simulator if step is None else step
+    device = simulator.velocity_scale.device
+    active = [number for number, run in enumerate(runs) if run.num_steps > 0]
+    histories = {number: history_of(runs[number], simulator.config).to(device) for number in active}
+    count = 0
+    while active:
+        static = static_of(*(runs[number].start for number in active)).to(device)
+        history = torch.cat([histories[number] for number in active])
+        lengths = [runs[number].start.num_particles for number in active]
+        scripted = torch.nonzero(~static.moved)[:, 0]
+        going = active
+        while going == active:
+            count += 1
+            position = step(history, static)
+            if len(scripted):
+                frames = [runs[number].start.position[runs[number].made + count] for number in active]
+                position = position.index_put((scripted,), _tensor(frames, device)[scripted])
+            history = torch.cat([history[:, 1:], position[:, None]], dim=1)
+            parts = dict(zip(active, torch.split(position, lengths), strict=True))
+            finite = parts
+            if not bool(torch.isfinite(position.detach()).all()):
+                finite = {number: part for number, part in parts.items() if bool(torch.isfinite(part).all())}
+            yield finite
+            going = [number for number in finite if runs[number].num_steps > count]
+        histories = dict(zip(active, torch.split(history, lengths), strict=True))
+        active = going
+
+
+def _tensor(frames: Sequence[NDArray[np.float32]], device: torch.device) -> Tensor:
+    return torch.from_numpy(np.concatenate(frames)).to(device)
+
+
+def rollout(
+    simulator: Simulator,
+    start: Trajectory,
+    num_steps: int,
+    *,
+    step: Callable[[Tensor, Static], Tensor] | None = None,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Unroll `simulator` from the first frame of `start`, on the device its weights are on.
+
+    The loop ends early at the first frame that is not finite; the frames before it are returned.
+
+    Args:
+        simulator: makes one step.
+        start: its first frame, initial velocity, types, material and scene are used; later frames only for kinematic
+            particles, whose script they are.
+        num_steps: frames to add.
+        step: what makes the steps in the simulator's place, as of `acceleration`.
+        on_step: called with the number of steps made and `num_steps`.
+
+    Returns:
+        Up to `num_steps` + 1 frames at the simulator's time step; `provenance["wall_seconds"]` is the time of the loop,
+        `provenance["failed_at"]` [s] is there if it ended early.
+
+    Raises:
+        InputError: a start that does not fit the simulator.
+    """
     frames = [start.position[0].astype(np.float32)]
-    provenance: dict[str, object] = {"solver": "gns_pl.rollout"}
     began = time.perf_counter()
     with torch.inference_mode():
-        for step in range(1, num_steps + 1):
-            position = simulator(history, static)
-            if scripted.any():
-                position[~static.moved] = torch.from_numpy(start.position[step][scripted]).to(device)
-            frame = position.cpu().numpy()
-            if not np.isfinite(frame).all():
-                provenance["failed_at"] = step * config.dt
-                break
-            frames.append(frame)
-            history = torch.cat([history[:, 1:], position[:, None]], dim=1)
-            if on_step is not None:
-                on_step(step, num_steps)
+        for parts in unroll(simulator, [Run(start, num_steps)], step):
+            if 0 in parts:
+                frames.append(parts[0].cpu().numpy())
+                if on_step is not None:
+                    on_step(len(frames) - 1, num_steps)
+    provenance: dict[str, object] = {"solver": "gns_pl.rollout"}
+    if len(frames) <= num_steps:
+        provenance["failed_at"] = len(frames) * simulator.config.dt
     provenance["wall_seconds"] = time.perf_counter() - began
-    provenance["device"] = str(device)
+    provenance["device"] = str(simulator.velocity_scale.device)
     provenance["num_threads"] = torch.get_num_threads()
-    return replace(start, position=np.stack(frames), dt=config.dt, provenance=provenance)
+    return replace(start, position=np.stack(frames), dt=simulator.config.dt, provenance=provenance)

@@ -1,0 +1,236 @@
+"""Scenes in, trajectory files out: a learned simulator as a tool. What was written is never computed again."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+import gns_pl
+from gns_pl.checkpoint import Checkpoint, load_checkpoint
+from gns_pl.errors import InputError
+from gns_pl.generation import chosen_every
+from gns_pl.io import StorageError, file_sha256, read_window
+from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
+from gns_pl.pretrained import find_checkpoint, pretrained_names
+from gns_pl.rollout.engine import Run, check_run, unroll
+from gns_pl.rollout.progress import counting
+from gns_pl.scene import Scene, fill_scene, read_scene
+from gns_pl.trajectory import Trajectory, start_trajectory
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+
+@dataclass(frozen=True)
+class Job:
+    """A scene, its file, and how far it is.
+
+    Attributes:
+        path: the file.
+        run: what is left to do.
+        source: file that holds the frames made before; None if there are none.
+        failed_at: time at which an earlier run of it stopped being finite [s].
+    """
+
+    path: Path
+    run: Run
+    source: Path | None
+    failed_at: float | None
+
+
+def simulate_config(cfg: DictConfig) -> list[Path]:
+    """Simulate as a Hydra config says (conf/simulate.yaml)."""
+    from omegaconf import OmegaConf
+
+    settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    ckpt, scenes = settings.pop("ckpt"), settings.pop("scene")
+    if not ckpt or not scenes:
+        raise InputError("which checkpoint and which scene? python simulate.py ckpt=collapse scene=FILE.yaml")
+    checkpoint = find_checkpoint(ckpt)
+    if not checkpoint.is_file():
+        known = ", ".join(pretrained_names())
+        raise InputError(f"{checkpoint}: there is no such checkpoint; those that come with gns_pl are {known}.")
+    files = [scenes] if isinstance(scenes, str) else scenes
+    out = Path(settings.pop("out"))
+    return simulate(checkpoint, [read_scene(Path(file)) for file in files], out=out, **settings)
+
+
+def simulate(
+    checkpoint_path: str | Path,
+    scenes: Sequence[Scene],
+    *,
+    out: Path,
+    duration: float | None = None,
+    seed: int = 0,
+    device: str = "auto",
+) -> list[Path]:
+    """Run scenes together in a learned simulator, every frame into `out`/NAME.h5 as soon as it is made.
+
+    A file that is there, finished or broken off, is gone on with from its last frame, if it is of the same scene,
+    checkpoint and seed; the result is then the one of a single run.
+
+    Args:
+        checkpoint_path: the simulator, a file or the name of one that comes with the package.
+        scenes: what to simulate; their names name the files.
+        out: folder; made.
+        duration: simulated time of every scene [s]; None takes each scene's own.
+        seed: of the particles' placement.
+        device: "auto", or a device as torch names it.
+
+    Returns:
+        The files, in the order of the scenes.
+
+    Raises:
+        InputError: a checkpoint or a scene that cannot be used, or a file of another run in the place of one.
+        StorageError: the disk refuses; the frames written stay.
+    """
+    checkpoint_path = find_checkpoint(checkpoint_path)
+    checkpoint = load_checkpoint(checkpoint_path)
+    names = [scene.name for scene in scenes]
+    if len(set(names)) < len(names):
+        raise InputError(f"two scenes have the same name among {', '.join(names)}, and it names their files.")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{out}: cannot be made ({error.strerror}).") from error
+    identity = {
+        "solver": "gns_pl.rollout",
+        "version": gns_pl.__version__,
+        "checkpoint": checkpoint_path.name,
+        "checkpoint_sha256": file_sha256(checkpoint_path),
+        "seed": seed,
+    }
+    if duration is not None:
+        scenes = [scene.replace(duration=duration) for scene in scenes]
+    jobs = [_job(out / f"{scene.name}.h5", start_of(scene, checkpoint, seed, identity)) for scene in scenes]
+    for job in jobs:
+        check_run(job.run, checkpoint.simulator.config)
+    move(checkpoint, device)
+    _run([job for job in jobs if job.run.num_steps], checkpoint, identity)
+    for job in jobs:
+        if not job.run.num_steps:
+            until = f"until it failed at {job.failed_at:g} s" if job.failed_at is not None else "whole"
+            print(f"{job.path}: is there {until}")
+    return [job.path for job in jobs]
+
+
+def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mapping[str, object]) -> Trajectory:
+    """Return a scene filled at the spacing of a checkpoint's data, as irregularly as these are, in one frame.
+
+    Args:
+        scene: what to fill.
+        checkpoint: spacing, time step and data.
+        seed: of the placement.
+        provenance: how the trajectory is made.
+    """
+    config, data = checkpoint.simulator.config, checkpoint.data
+    # Of the data every k-th point of a lattice is kept, and moves in its own, k times smaller, cell.
+    jitter = float(data.get("mpm", {}).get("jitter", 0.0)) / chosen_every(data)
+    particles = fill_scene(scene, config.spacing, jitter=jitter, generator=np.random.default_rng(seed))
+    return start_trajectory(scene, particles, config.dt, dict(provenance))
+
+
+def _job(path: Path, start: Trajectory) -> Job:
+    """Return what is to do for a scene, after a look at what is there."""
+    wanted = math.ceil(start.scene.duration / start.dt - 1e-6)
+    found = find_frames(path)
+    if found is None:
+        return Job(path, Run(start, wanted), None, None)
+    source, header = found
+    same = (
+        all(header.provenance.get(key) == value for key, value in start.provenance.items())
+        and header.scene.replace(duration=start.scene.duration) == start.scene
+        and np.array_equal(read_window(source, 0, 1), start.position)
+    )
+    if not same:
+        raise InputError(
+            f"{source}: is of another scene, checkpoint, seed or version; remove it or choose another out=."
+        )
+    made = header.num_frames - 1
+    failed_at = header.provenance.get("failed_at")
+    left = 0 if failed_at is not None else max(0, wanted - made)
+    first = max(0, made - 9)
+    past = read_window(source, first, made + 1 - first)
+    return Job(path, Run(start, left, past, made), source, failed_at if isinstance(failed_at, float) else None)
+
+
+def _run(jobs: Sequence[Job], checkpoint: Checkpoint, identity: Mapping[str, object]) -> None:
+    """Make the steps of all jobs together and close every file when its scene is done."""
+    if not jobs:
+        return
+    dt = checkpoint.simulator.config.dt
+    streams = [_open(job) for job in jobs]
+    total = max(job.run.num_steps for job in jobs)
+    label = ", ".join(job.run.start.scene.name for job in jobs)
+    particles = sum(job.run.start.num_particles for job in jobs)
+    known = " after " + ", ".join(f"{job.run.made * dt:g} s" for job in jobs) if any(j.source for j in jobs) else ""
+    print(f"{label}: {particles} particles, {total} steps of {dt:g} s{known}", flush=True)
+    made, began = 0, time.perf_counter()
+
+    def finish(number: int, **more: object) -> None:
+        device, threads = str(checkpoint.simulator.velocity_scale.device), torch.get_num_threads()
+        seconds = time.perf_counter() - began
+        provenance = {**identity, "wall_seconds": seconds, "device": device, "num_threads": threads, **more}
+        streams[number].finish(provenance)
+        print(f"{jobs[number].path}: {streams[number].num_frames} frames", flush=True)
+
+    try:
+        with counting(label, dt) as show, torch.inference_mode():
+            open_jobs = set(range(len(jobs)))
+            for parts in unroll(checkpoint.simulator, [job.run for job in jobs]):
+                made += 1
+                for number in sorted(open_jobs):
+                    if number in parts:
+                        streams[number].append(_frame(parts[number]))
+                    if number not in parts or jobs[number].run.num_steps == made:
+                        open_jobs.remove(number)
+                        failed = {} if number in parts else {"failed_at": (jobs[number].run.made + made) * dt}
+                        finish(number, **failed)
+                        if failed:
+                            print(f"{jobs[number].path}: not finite from {failed['failed_at']:g} s on; ended there.")
+                show(made, total)
+    except KeyboardInterrupt:
+        raise SystemExit("simulate.py: stopped; the same command goes on where it was.") from None
+    finally:
+        for stream in streams:
+            stream.close()
+    seconds = time.perf_counter() - began
+    print(f"{made} steps in {seconds:.1f} s: {made / seconds:.3g} steps/s, {made * dt / seconds:.3g} simulated s/s")
+
+
+def _open(job: Job) -> TrajectoryStream:
+    if job.source is not None:
+        return go_on(job.path, job.run.start, job.source, job.run.made + 1)
+    stream = TrajectoryStream(job.path, job.run.start)
+    stream.append(job.run.start.position)
+    return stream
+
+
+def _frame(position: torch.Tensor) -> NDArray[np.float32]:
+    frame: NDArray[np.float32] = position.cpu().numpy()[None]
+    return frame
+
+
+def move(checkpoint: Checkpoint, device: str) -> None:
+    """Move a checkpoint's simulator to a device.
+
+    Args:
+        checkpoint: moved in place.
+        device: as torch names it, or "auto".
+
+    Raises:
+        InputError: a device that is not there.
+    """
+    name = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    try:
+        checkpoint.simulator.to(torch.device(name))
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device={device} cannot be used here ({str(error).splitlines()[0]}).") from error

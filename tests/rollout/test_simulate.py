@@ -1,0 +1,120 @@
+"""Scenes become files; a run that is broken off and gone on with ends in the file of a single run."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gns_pl.checkpoint import Checkpoint, save_checkpoint
+from gns_pl.errors import InputError
+from gns_pl.io import read_trajectory
+from gns_pl.io.stream import find_frames
+from gns_pl.rollout import rollout
+from gns_pl.rollout.simulate import simulate, start_of
+from gns_pl.scene import Scene, write_scene
+from tests.conftest import make_simulator
+
+ROOT = Path(__file__).parents[2]
+DATA = {"mpm": {"jitter": 0.6}, "store_every": [3]}
+
+
+@pytest.fixture
+def ckpt(tmp_path: Path) -> Path:
+    save_checkpoint(tmp_path / "some.ckpt", Checkpoint(make_simulator(), DATA, {}))
+    return tmp_path / "some.ckpt"
+
+
+def test_every_scene_gets_its_file(ckpt: Path, drop: Scene, column: Scene, tmp_path: Path) -> None:
+    paths = simulate(ckpt, [drop, column.replace(duration=0.05)], out=tmp_path / "out", device="cpu")
+    assert [path.name for path in paths] == ["cube_drop.h5", "column_collapse.h5"]
+    first, second = (read_trajectory(path) for path in paths)
+    assert (first.num_frames, second.num_frames) == (21, 6)
+    checkpoint = Checkpoint(make_simulator(), DATA, {})
+    start = start_of(drop, checkpoint, 0, {})
+    alone = rollout(checkpoint.simulator, start, 20)
+    np.testing.assert_allclose(first.position, alone.position, atol=2e-6)
+    assert first.provenance["checkpoint"] == "some.ckpt" and first.scene == drop
+
+
+def test_the_jitter_is_that_of_the_data(ckpt: Path, drop: Scene) -> None:
+    start = start_of(drop, Checkpoint(make_simulator(), DATA, {}), 0, {})
+    regular = start_of(drop, Checkpoint(make_simulator(), {}, {}), 0, {})
+    off = (start.position - regular.position) / 0.05
+    assert 0.09 < np.abs(off).max() <= 0.1  # 0.6 / 3 of half a spacing
+
+
+def test_longer_goes_on_and_shorter_is_there(ckpt: Path, drop: Scene, tmp_path: Path, capsys: object) -> None:
+    simulate(ckpt, [drop], out=tmp_path / "whole", device="cpu")
+    for duration in (0.07, 0.2, 0.1):
+        simulate(ckpt, [drop], out=tmp_path / "parts", duration=duration, device="cpu")
+    whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "parts"))
+    np.testing.assert_array_equal(parts.position, whole.position)
+    assert parts.scene == whole.scene
+
+
+def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
+    write_scene(drop, tmp_path / "drop.yaml")
+    command = [sys.executable, "simulate.py", f"ckpt={ckpt}", f"scene={tmp_path / 'drop.yaml'}", "duration=0.6"]
+    command += [f"out={tmp_path / 'out'}", "device=cpu"]
+    growing = tmp_path / "out" / "cube_drop.h5.growing"
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+    while process.poll() is None and (not growing.exists() or (find_frames(tmp_path / "out" / "cube_drop.h5") is None)):
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert "after" in said or "is there whole" in said
+    simulate(ckpt, [drop], out=tmp_path / "whole", duration=0.6, device="cpu")
+    whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "out"))
+    np.testing.assert_allclose(parts.position, whole.position, atol=1e-6)
+
+
+def test_a_file_of_another_run_is_refused_and_kept(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
+    (path,) = simulate(ckpt, [drop], out=tmp_path, device="cpu")
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"cube_drop\.h5: is of another scene, checkpoint, seed"):
+        simulate(ckpt, [drop], out=tmp_path, seed=1, device="cpu")
+    assert path.read_bytes() == before
+
+
+def test_what_fails_is_told_and_not_tried_again(
+    drop: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulator = make_simulator()
+    simulator.acceleration_scale.fill_(1e38)
+    save_checkpoint(tmp_path / "wild.ckpt", Checkpoint(simulator, {}, {}))
+    (path,) = simulate(tmp_path / "wild.ckpt", [drop], out=tmp_path, device="cpu")
+    assert "not finite from 0.01 s on" in capsys.readouterr().out
+    assert read_trajectory(path).provenance["failed_at"] == 0.01
+    simulate(tmp_path / "wild.ckpt", [drop], out=tmp_path, device="cpu")
+    assert "is there until it failed at 0.01 s" in capsys.readouterr().out
+
+
+def test_two_scenes_of_one_name(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="same name"):
+        simulate(ckpt, [drop, drop], out=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["ckpt=collapse"], "which checkpoint and which scene"),
+        (
+            ["ckpt=nothing", "scene=a.yaml"],
+            "nothing: there is no such checkpoint; those that come",
+        ),
+        (["ckpt=collapse", "scene=none.yaml"], "none.yaml"),
+        (["ckpt=collapse", "scene=scenes/two_blocks.yaml", "device=tpu9"], "device=tpu9 cannot be used here"),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "simulate.py", *arguments, f"out={tmp_path}"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 2 and sentence in done.stderr and len(done.stderr.strip().splitlines()) == 1
