@@ -7,7 +7,7 @@ training, rollout and inverse problems share it. `rollout` unrolls it, `training
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,6 +110,9 @@ class Simulator(nn.Module):
 
     Args:
         config: its shape.
+
+    Attributes:
+        search: finds the neighbours, with the arguments and the result of `radius_graph`.
     """
 
     velocity_scale: Tensor
@@ -119,6 +122,7 @@ class Simulator(nn.Module):
     def __init__(self, config: SimulatorConfig) -> None:
         super().__init__()
         self.config = config
+        self.search: Callable[..., Tensor] = radius_graph
         features = len(config.material_features)
         self.register_buffer("velocity_scale", torch.ones(()))
         self.register_buffer("acceleration_scale", torch.ones(()))
@@ -171,7 +175,7 @@ class Simulator(nn.Module):
         config = self.config
         position = history[:, -1]
         velocity = history.diff(dim=1) / config.dt
-        edge_index = radius_graph(
+        edge_index = self.search(
             position,
             config.connectivity_radius,
             static.batch,

@@ -7,11 +7,13 @@ from gns_pl.graph.draws import Draws
 from gns_pl.graph.features import Static, edge_features, edge_width, node_features, node_width
 from gns_pl.graph.neighbours import BACKENDS, NUMBA, radius_graph
 from gns_pl.graph.noise import coherent_noise, random_walk_noise
+from gns_pl.graph.reuse import NeighbourList
 
 __all__ = [
     "BACKENDS",
     "NUMBA",
     "Draws",
+    "NeighbourList",
     "Static",
     "coherent_noise",
     "edge_features",

@@ -16,9 +16,7 @@ _compiled: Callable[[F], F] = numba.njit(cache=True, nogil=True)
 _inlined: Callable[[F], F] = numba.njit(nogil=True, inline="always")
 
 
-def neighbours(
-    position: NDArray[np.floating], first: NDArray[np.int64], radius: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def neighbours(position: NDArray[np.floating], first: NDArray[np.int64], radius: float) -> NDArray[np.int64]:
     """Return all pairs of one graph closer than `radius`, both ways.
 
     Args:
@@ -27,7 +25,7 @@ def neighbours(
         radius: connectivity radius [m].
 
     Returns:
-        Senders [E] and receivers [E], sorted by receiver, then by sender.
+        Senders and receivers [2, E], sorted by receiver, then by sender.
     """
     start = np.zeros(len(position) + 1, dtype=np.int64)
     sorted_graphs = [_sort(position[a:b], radius) for a, b in itertools.pairwise(first) if b > a]
@@ -36,10 +34,10 @@ def neighbours(
     for cells, offset in zip(sorted_graphs, offsets, strict=True):
         _count(cells, squared, offset, start)
     np.cumsum(start, out=start)
-    sender, receiver = np.empty((2, start[-1]), dtype=np.int64)
+    edge_index = np.empty((2, start[-1]), dtype=np.int64)
     for cells, offset in zip(sorted_graphs, offsets, strict=True):
-        _list(cells, squared, offset, start, sender, receiver)
-    return sender, receiver
+        _list(cells, squared, offset, start, *edge_index)
+    return edge_index
 
 
 def _sort(position: NDArray[np.floating], radius: float) -> Any:
@@ -133,3 +131,18 @@ def _list(cells: Any, squared: Any, offset: int, start: Any, sender: Any, receiv
                         before -= 1
                     sender[before] = offset + j
                     slot += 1
+
+
+@_compiled
+def filter_pairs(position: Any, pairs: Any, squared: Any) -> Any:
+    """Return those of the pairs [2, P] that are closer than the root of `squared`, in their order [2, E]."""
+    kept = np.empty(pairs.shape[1], np.int64)
+    count = 0
+    for pair in range(pairs.shape[1]):
+        kept[count] = pair
+        count += _squared_distance(position, pairs[1, pair], position, pairs[0, pair]) < squared
+    edge_index = np.empty((2, count), np.int64)
+    for edge in range(count):
+        edge_index[0, edge] = pairs[0, kept[edge]]
+        edge_index[1, edge] = pairs[1, kept[edge]]
+    return edge_index

@@ -52,7 +52,7 @@ def radius_graph(
         counts = torch.bincount(batch, minlength=num_graphs).cpu().numpy() if batch is not None else [len(position)]
         first = np.concatenate([[0], np.cumsum(counts)])
         found = neighbours(detached.cpu().contiguous().numpy(), first, radius)
-        return torch.from_numpy(np.stack(found)).to(position.device)
+        return torch.from_numpy(found).to(position.device)
     if batch is None or num_graphs == 1:
         return _single(detached, radius, backend)
     counts = torch.bincount(batch, minlength=num_graphs).tolist()

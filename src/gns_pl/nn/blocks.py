@@ -1,12 +1,14 @@
-"""Message passing without gradients on a CPU, edges in blocks that stay in cache from the first product to the sum.
+"""The network without gradients on a CPU, in blocks that stay in cache from a message's first product to its sum.
 
-Layer by layer, every product over all E edges reads and writes E × L numbers: 140 MB for the paper's network and 10,000
-particles, which memory delivers at half the speed at which the products could be made. A block of some hundred edges
-goes through a whole message instead while it lies in a core's cache; only the edge states come from and go to memory.
+Product by product, all E edges are read and written as E × L numbers: 140 MB for the paper's network and 10,000
+particles, which memory delivers at half the speed at which the products could be made. A block of edges goes through a
+whole message-passing layer instead while it lies in a core's cache; only the edge states come from and go to memory.
+Blocks of nodes follow, whose update and what the next layer needs of them are made in one go.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import os
 import threading
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gns_pl.nn.edges import gather_block, norm_block
@@ -25,84 +28,128 @@ if TYPE_CHECKING:
     from gns_pl.nn.interaction_network import InteractionNetwork
 
 BLOCK = 1024
-"""Edges in a block. On one core, 128 wide, 512 to 4096 took the same time up to 6 %, 128 and 256 a quarter more."""
+"""Edges, or nodes, in a block."""
 
 
 def process_in_blocks(network: EncodeProcessDecode, node: Tensor, edge: Tensor, edges: SortedEdges) -> Tensor:
-    """Return the node states behind all layers [N, L].
+    """Return what the network makes of features [N, output_width].
 
     Args:
-        network: whose edge encoder and processor are used.
-        node: encoded nodes [N, L] float32, on the CPU.
+        network: with at least the node encoder and the decoder.
+        node: node features [N, F] float32, on the CPU.
         edge: edge features [E, F'].
         edges: sorted by receiver.
     """
-    start = edges.start.numpy()
-    wanted = np.searchsorted(start, np.arange(0, len(edge), BLOCK))
-    bounds = np.unique(np.concatenate([[0], wanted, [len(node)]])).tolist()
-    blocks = [(low, high) for low, high in itertools.pairwise(bounds) if start[low] < start[high]]
-    state = node.new_empty(len(edge), node.shape[1])
-    encode: Callable[[Tensor], Tensor] | None = network.edge_encoder
-    layers = cast("list[InteractionNetwork]", list(network.processor))
-    for layer in layers:
-        keep = not (network.static_edges or layer is layers[-1])
-        received = _pass_messages(layer, node, edge, state, edges, blocks, encode, keep)
-        node = node + layer.node_mlp(torch.cat([received, node], dim=1))
-        encode = None
-    return node
+    return _Blocks(network, node, edge, edges).run()
 
 
-def _pass_messages(
-    layer: InteractionNetwork,
-    node: Tensor,
-    features: Tensor,
-    state: Tensor,
-    edges: SortedEdges,
-    blocks: list[tuple[int, int]],
-    encode: Callable[[Tensor], Tensor] | None,
-    keep: bool,
-) -> Tensor:
-    """Return what every node receives [N, L].
+class _Blocks:
+    """The arrays of one forward pass; every block of them is worked on by one thread at a time."""
 
-    A block's edge states are encoded first where `encode` is given, and updated where they are kept.
-    """
-    first, norm = cast(nn.Linear, layer.edge_mlp[0]), cast(nn.LayerNorm, layer.edge_mlp[-1])
-    linears = [part for part in list(layer.edge_mlp)[1:-1] if isinstance(part, nn.Linear)]
-    sending, receiving = layer.sender(node), torch.addmm(first.bias, node, layer.receiver.weight.t())
-    received = torch.zeros_like(node)
-    sender, start = edges.sender.numpy(), edges.start.numpy()
-    ends = sending.numpy(), receiving.numpy()
-    weight, bias = norm.weight.detach().numpy(), norm.bias.detach().numpy()
-    whole, sums, epsilon = state.numpy(), received.numpy(), np.float32(norm.eps)
-    updated = whole if keep else whole[:0]
-    size = max((int(start[high] - start[low]) for low, high in blocks), default=0)
-    queue, lock, inference = iter(blocks), threading.Lock(), torch.is_inference_mode_enabled()
+    def __init__(self, network: EncodeProcessDecode, node: Tensor, edge: Tensor, edges: SortedEdges) -> None:
+        self.network, self.edges = network, edges
+        self.layers = cast("list[InteractionNetwork]", list(network.processor))
+        self.node_features, self.edge_features = node, edge
+        width, number = cast(nn.Linear, network.decoder[0]).in_features, len(node)
+        self.node = node.new_empty(number, width)
+        self.received = node.new_empty(number if self.layers else 0, width)
+        self.sending, self.receiving = torch.empty_like(self.received), torch.empty_like(self.received)
+        kept = len(self.layers) > 1
+        self.state = node.new_empty(len(edge) if kept else 0, width)
+        self.output = node.new_empty(number, cast(nn.Linear, network.decoder[-1]).out_features)
+        start = edges.start.numpy()
+        self.of_edges = _cut(start, np.searchsorted(start, np.arange(0, len(edge), BLOCK)))
+        self.of_nodes = _cut(start, np.arange(0, number, BLOCK))
+        self.most_edges = max((int(start[high] - start[low]) for low, high in self.of_edges), default=0)
 
-    def work() -> None:
-        one, two = state.new_empty(2, size, state.shape[1])
-        inverse = np.empty(size, dtype=np.float32)
-        with torch.inference_mode(inference), torch.no_grad():
-            for low, high in _taken(queue, lock):
-                begin, end = int(start[low]), int(start[high])
-                own, hidden, other = state[begin:end], one[: end - begin], two[: end - begin]
-                if encode is not None:
-                    own.copy_(encode(features[begin:end]))
-                torch.mm(own, first.weight.t(), out=hidden)
-                gather_block(hidden.numpy(), *ends, sender, start, begin, low, high)
-                for linear in linears:
-                    torch.addmm(linear.bias, hidden, linear.weight.t(), out=other)
-                    if linear is not linears[-1]:
-                        other.relu_()
-                    hidden, other = other, hidden
-                block = hidden.numpy()
-                norm_block(block, weight, bias, whole, start, epsilon, inverse, updated, sums, begin, low, high)
+    def run(self) -> Tensor:
+        """Return the decoded nodes."""
+        self._share(self.of_nodes, self._encode)
+        for number in range(len(self.layers)):
+            self._share(self.of_edges, functools.partial(self._pass, number))
+            self._share(self.of_nodes, functools.partial(self._update, number))
+        return self.output
 
-    threads = max(1, min(torch.get_num_threads(), len(blocks)))
-    for done in [thread_pool(os.getpid()).submit(work) for _ in range(threads)]:
-        done.result()
-    if layer.averages:
-        received /= edges.start.diff().clamp(min=1)[:, None]
-    return received
+    def _share(self, blocks: list[tuple[int, int]], work: Callable[..., None]) -> None:
+        """Do the work on every block, on as many threads as torch has."""
+        queue, lock, inference = iter(blocks), threading.Lock(), torch.is_inference_mode_enabled()
+
+        def empty_queue() -> None:
+            with torch.inference_mode(inference), torch.no_grad():
+                buffers = self.node.new_empty(3, self.most_edges, self.node.shape[1]).unbind()
+                for low, high in _taken(queue, lock):
+                    work(low, high, buffers)
+
+        threads = max(1, min(torch.get_num_threads(), len(blocks)))
+        for done in [thread_pool(os.getpid()).submit(empty_queue) for _ in range(threads)]:
+            done.result()
+
+    def _encode(self, low: int, high: int, _: tuple[Tensor, ...]) -> None:
+        """Encode nodes."""
+        self.node[low:high] = self.network.node_encoder(self.node_features[low:high])
+        self._hand_on(0, low, high)
+
+    def _update(self, number: int, low: int, high: int, _: tuple[Tensor, ...]) -> None:
+        """Update nodes by what layer `number` passed to them, and hand them on."""
+        layer, node, received = self.layers[number], self.node[low:high], self.received[low:high]
+        if layer.averages:
+            received /= self.edges.start[low : high + 1].diff().clamp(min=1)[:, None]
+        node += layer.node_mlp(torch.cat([received, node], dim=1))
+        self._hand_on(number + 1, low, high)
+
+    def _hand_on(self, number: int, low: int, high: int) -> None:
+        """Make of nodes what layer `number` needs of them, or what the decoder gives behind the last."""
+        node = self.node[low:high]
+        if number == len(self.layers):
+            self.output[low:high] = self.network.decoder(node)
+            return
+        layer = self.layers[number]
+        torch.mm(node, layer.sender.weight.t(), out=self.sending[low:high])
+        bias = cast(nn.Linear, layer.edge_mlp[0]).bias
+        torch.addmm(bias, node, layer.receiver.weight.t(), out=self.receiving[low:high])
+
+    def _pass(self, number: int, low: int, high: int, buffers: tuple[Tensor, ...]) -> None:
+        """Pass the messages of layer `number` to nodes."""
+        layer = self.layers[number]
+        first, norm = cast(nn.Linear, layer.edge_mlp[0]), cast(nn.LayerNorm, layer.edge_mlp[-1])
+        begin, end = (int(self.edges.start[bound]) for bound in (low, high))
+        own, hidden, other = (buffer[: end - begin] for buffer in buffers)
+        # Kept edge states have their place in `state`; else they are encoded, used and forgotten.
+        keep = number + 1 < len(self.layers) and not self.network.static_edges
+        if len(self.state):
+            own = self.state[begin:end]
+        if number == 0 or not len(self.state):
+            own.copy_(self.network.edge_encoder(self.edge_features[begin:end]))
+        torch.mm(own, first.weight.t(), out=hidden)
+        start, sender = self.edges.start.numpy(), self.edges.sender.numpy()
+        ends = self.sending.numpy(), self.receiving.numpy()
+        gather_block(hidden.numpy(), *ends, sender, start, begin, low, high)
+        linears = [part for part in list(layer.edge_mlp)[1:-1] if isinstance(part, nn.Linear)]
+        for linear in linears:
+            torch.addmm(linear.bias, hidden, linear.weight.t(), out=other)
+            if linear is not linears[-1]:
+                other.relu_()
+            hidden, other = other, hidden
+        self.received[low:high] = 0
+        norm_block(
+            hidden.numpy(),
+            norm.weight.detach().numpy(),
+            norm.bias.detach().numpy(),
+            own.numpy(),
+            start,
+            np.float32(norm.eps),
+            other.numpy().reshape(-1)[: end - begin],
+            own.numpy() if keep else own[:0].numpy(),
+            self.received.numpy(),
+            begin,
+            low,
+            high,
+        )
+
+
+def _cut(start: NDArray[np.int64], bounds: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Return the blocks of receivers between bounds, from the first to the last."""
+    return list(itertools.pairwise(np.unique(np.append(bounds, [0, len(start) - 1])).tolist()))
 
 
 def _taken(queue: Iterator[tuple[int, int]], lock: threading.Lock) -> Iterator[tuple[int, int]]:

@@ -81,7 +81,7 @@ def norm_block(
     first: int,
     last: int,
 ) -> None:
-    """Turn a block's values into their normalised form in place; row 0 is edge `offset`.
+    """Turn a block's values into their normalised form in place; row 0 of a block's arrays is edge `offset`.
 
     Fill 1 / deviation, add the messages to the sums at their receivers, and set `updated` to edge + message unless it
     is empty; it may be `edge` itself.
@@ -104,7 +104,7 @@ def norm_block(
                     normal = (value[k, c] - mean) * scale
                     message = normal * weight[c] + bias[c]
                     value[k, c] = normal
-                    updated[e, c] = edge[e, c] + message
+                    updated[k, c] = edge[k, c] + message
                     received[i, c] += message
             else:
                 for c in range(width):

@@ -65,10 +65,9 @@ class EncodeProcessDecode(nn.Module):
         able = self.compiled_edges and node.device.type == "cpu" and node.dtype == torch.float32
         able = able and not torch.is_autocast_enabled("cpu")
         sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
-        node = self.node_encoder(node)
         if sorted_edges is not None and not torch.is_grad_enabled():
-            return cast(Tensor, self.decoder(process_in_blocks(self, node, edge, sorted_edges)))
-        edge = self.edge_encoder(edge)
+            return process_in_blocks(self, node, edge, sorted_edges)
+        node, edge = self.node_encoder(node), self.edge_encoder(edge)
         for layer in self.processor:
             last = self.static_edges or layer is self.processor[-1]
             node, updated = layer(node, edge, edge_index, sorted_edges, last=last)

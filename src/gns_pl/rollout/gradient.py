@@ -1,4 +1,4 @@
-"""Derivatives of a whole rollout: the same steps as `rollout`, remembered in a few frames and made again on the way back.
+"""Derivatives of a whole rollout: its steps with few frames remembered, each made a second time on the way back.
 
 Backpropagation through T steps would keep every edge state of every step. Here only the positions are kept, and each
 step is computed a second time when its gradient is due (Griewank and Walther 2000), so memory grows with T · N and not

@@ -20,9 +20,12 @@ from gns_pl.generation import chosen_every
 from gns_pl.io import StorageError, file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
 from gns_pl.pretrained import find_checkpoint, pretrained_names
+from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.engine import Run, check_run, unroll
+from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
 from gns_pl.scene import Scene, fill_scene, read_scene
+from gns_pl.simulator import Simulator
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 if TYPE_CHECKING:
@@ -71,6 +74,7 @@ def simulate(
     duration: float | None = None,
     seed: int = 0,
     device: str = "auto",
+    acceleration: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Run scenes together in a learned simulator, every frame into `out`/NAME.h5 as soon as it is made.
 
@@ -84,6 +88,7 @@ def simulate(
         duration: simulated time of every scene [s]; None takes each scene's own.
         seed: of the particles' placement.
         device: "auto", or a device as torch names it.
+        acceleration: arguments of `rollout.acceleration.accelerate`.
 
     Returns:
         The files, in the order of the scenes.
@@ -114,7 +119,8 @@ def simulate(
     for job in jobs:
         check_run(job.run, checkpoint.simulator.config)
     move(checkpoint, device)
-    _run([job for job in jobs if job.run.num_steps], checkpoint, identity)
+    simulator = accelerate(checkpoint.simulator, **(acceleration or {}))
+    _run([job for job in jobs if job.run.num_steps], simulator, identity)
     for job in jobs:
         if not job.run.num_steps:
             until = f"until it failed at {job.failed_at:g} s" if job.failed_at is not None else "whole"
@@ -162,21 +168,21 @@ def _job(path: Path, start: Trajectory) -> Job:
     return Job(path, Run(start, left, past, made), source, failed_at if isinstance(failed_at, float) else None)
 
 
-def _run(jobs: Sequence[Job], checkpoint: Checkpoint, identity: Mapping[str, object]) -> None:
+def _run(jobs: Sequence[Job], simulator: Simulator, identity: Mapping[str, object]) -> None:
     """Make the steps of all jobs together and close every file when its scene is done."""
     if not jobs:
         return
-    dt = checkpoint.simulator.config.dt
+    dt = simulator.config.dt
+    needs = check_memory(simulator, [job.run for job in jobs])
     streams = [_open(job) for job in jobs]
     total = max(job.run.num_steps for job in jobs)
     label = ", ".join(job.run.start.scene.name for job in jobs)
-    particles = sum(job.run.start.num_particles for job in jobs)
     known = " after " + ", ".join(f"{job.run.made * dt:g} s" for job in jobs) if any(j.source for j in jobs) else ""
-    print(f"{label}: {particles} particles, {total} steps of {dt:g} s{known}", flush=True)
+    print(f"{label}: {total} steps of {dt:g} s{known}; {needs}", flush=True)
     made, began = 0, time.perf_counter()
 
     def finish(number: int, **more: object) -> None:
-        device, threads = str(checkpoint.simulator.velocity_scale.device), torch.get_num_threads()
+        device, threads = str(simulator.velocity_scale.device), torch.get_num_threads()
         seconds = time.perf_counter() - began
         provenance = {**identity, "wall_seconds": seconds, "device": device, "num_threads": threads, **more}
         streams[number].finish(provenance)
@@ -185,7 +191,7 @@ def _run(jobs: Sequence[Job], checkpoint: Checkpoint, identity: Mapping[str, obj
     try:
         with counting(label, dt) as show, torch.inference_mode():
             open_jobs = set(range(len(jobs)))
-            for parts in unroll(checkpoint.simulator, [job.run for job in jobs]):
+            for parts in unroll(simulator, [job.run for job in jobs]):
                 made += 1
                 for number in sorted(open_jobs):
                     if number in parts:

@@ -1,0 +1,72 @@
+"""How much memory a step takes, before it is tried."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from gns_pl.errors import InputError
+from gns_pl.graph import radius_graph
+from gns_pl.rollout.engine import Run, history_of, static_of
+from gns_pl.simulator import Simulator, SimulatorConfig
+
+ROOM = 1.2
+"""More edges than at the start: a heap is denser than a body at rest before it falls."""
+
+
+def estimate_bytes(config: SimulatorConfig, num_particles: int, num_edges: int, *, in_blocks: bool) -> int:
+    """Return the most bytes that a step of the simulator holds at once, the history included.
+
+    Args:
+        config: of the simulator.
+        num_particles: N.
+        num_edges: E.
+        in_blocks: on the CPU in float32, where messages go through `nn.blocks`; else every layer keeps E × L numbers
+            several times.
+    """
+    dim, width = config.dim, config.latent_size
+    node = 4 * num_particles * (config.input_sequence_length * dim * 3 + 12)
+    corners = 2**dim * num_particles * (8 + 4 * (2 + dim) + 8 * (dim + 3)) if config.context else 0
+    features = num_edges * (16 + 4 * (dim + 1))
+    making_features = features + 4 * num_edges * (3 * dim + 1)
+    layers = config.num_message_passing_steps
+    if in_blocks:
+        states = 4 * width * (num_edges * (layers > 1) + 4 * num_particles)
+    else:
+        states = 4 * width * (6 * num_edges + 8 * num_particles)
+    return node + max(corners + num_edges * 16, making_features, features + states)
+
+
+def check_memory(simulator: Simulator, runs: list[Run]) -> str:
+    """Return in words what the steps of scenes need and what there is.
+
+    Raises:
+        InputError: less is free than is needed.
+    """
+    config, device = simulator.config, simulator.velocity_scale.device
+    static = static_of(*(run.start for run in runs))
+    position = torch.cat([history_of(run, config)[:, -1] for run in runs])
+    radius, graphs = config.connectivity_radius, static.num_graphs
+    edges = radius_graph(position, radius, static.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
+    needed = estimate_bytes(config, len(position), int(ROOM * edges), in_blocks=device.type == "cpu")
+    free = _free_bytes(device)
+    said = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"
+    if free is None:
+        return said
+    if needed > free:
+        raise InputError(
+            f"{said}, but {free / 1e9:.3g} GB are free on {device}; take fewer scenes at once, a coarser simulator, or "
+            "more devices."
+        )
+    return f"{said} of {free / 1e9:.3g} GB free"
+
+
+def _free_bytes(device: torch.device) -> int | None:
+    if device.type == "cuda":
+        return int(torch.cuda.mem_get_info(device)[0])
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return None  # not Linux
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable")), None)

@@ -1,0 +1,73 @@
+"""Every acceleration against the plain loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gns_pl.errors import InputError
+from gns_pl.rollout import rollout
+from gns_pl.rollout.acceleration import InPrecision, Padded, accelerate
+from gns_pl.scene import Scene
+from tests.conftest import make_simulator, make_start
+
+
+@pytest.mark.parametrize("skin", [0.1, 0.5])
+def test_a_skin_changes_nothing(skin: float, column: Scene) -> None:
+    simulator, start = make_simulator(output="gated", context=True), make_start(column)
+    plain = rollout(simulator, start, 12).position
+    np.testing.assert_array_equal(rollout(accelerate(simulator, skin=skin), start, 12).position, plain)
+
+
+def test_padding_changes_nothing(column: Scene) -> None:
+    simulator, start = make_simulator(output="gated"), make_start(column)
+    plain = rollout(simulator, start, 5).position
+    padded = accelerate(simulator)
+    padded._modules["network"] = Padded(simulator.network, 1000)
+    np.testing.assert_allclose(rollout(padded, start, 5).position, plain, atol=1e-6)
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("tf32", 1e-6), ("bfloat16", 2e-3)])
+def test_less_precise_products(precision: str, tolerance: float, column: Scene) -> None:
+    simulator, start = make_simulator(output="gated"), make_start(column)
+    plain = rollout(simulator, start, 5).position
+    fast = rollout(accelerate(simulator, precision=precision), start, 5).position
+    assert fast.dtype == np.float32
+    np.testing.assert_allclose(fast, plain, atol=tolerance)
+    assert torch.get_float32_matmul_precision() == "highest"
+
+
+def test_the_simulator_stays_as_it_is() -> None:
+    simulator = make_simulator()
+    network, search = simulator.network, simulator.search
+    fast = accelerate(simulator, skin=0.2, precision="bfloat16")
+    assert simulator.network is network and simulator.search is search
+    assert isinstance(fast.network, InPrecision)
+    assert next(fast.parameters()) is next(simulator.parameters())
+
+
+@pytest.mark.slow
+def test_compiled_networks_agree(column: Scene) -> None:
+    simulator, start = make_simulator(output="gated"), make_start(column)
+    plain = rollout(simulator, start, 5).position
+    np.testing.assert_allclose(rollout(accelerate(simulator, compiled=True), start, 5).position, plain, atol=1e-5)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize(
+    ("settings", "tolerance"), [({}, 1e-5), ({"compiled": True}, 1e-5), ({"precision": "bfloat16"}, 2e-3)]
+)
+def test_on_a_gpu_as_on_the_cpu(settings: dict[str, Any], tolerance: float, column: Scene) -> None:
+    simulator, start = make_simulator(output="gated"), make_start(column)
+    plain = rollout(simulator, start, 5).position
+    fast = rollout(accelerate(simulator.cuda(), skin=0.3, **settings), start, 5).position
+    np.testing.assert_allclose(fast, plain, atol=tolerance)
+
+
+@pytest.mark.parametrize("settings", [{"skin": -0.1}, {"precision": "float16"}])
+def test_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="acceleration"):
+        accelerate(make_simulator(), **settings)
