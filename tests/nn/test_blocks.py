@@ -13,12 +13,12 @@ from tests.nn.test_edges import make_graph, make_network
 @pytest.mark.parametrize("num_mlp_layers", [1, 2, 3])
 @pytest.mark.parametrize("edges", [300, 1, 0])
 @pytest.mark.parametrize("kind", [{}, {"aggregation": "mean"}, {"static_edges": True}])
-@pytest.mark.parametrize("block", [7, 100, 1024])
+@pytest.mark.parametrize("block", [300, 5000, 512 * 1024])
 def test_blocks_change_nothing(
     num_mlp_layers: int, edges: int, kind: dict[str, Any], block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the size of a block; one node's edges may be more than that."""
-    monkeypatch.setattr("gns_pl.nn.blocks.BLOCK", block)
+    monkeypatch.setattr("gns_pl.nn.blocks.BLOCK_BYTES", block)
     graph, network = make_graph(edges=edges), make_network(num_mlp_layers, **kind)
     expected = network(*graph)
     for without in (torch.no_grad, torch.inference_mode):

@@ -75,6 +75,16 @@ def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     np.testing.assert_allclose(parts.position, whole.position, atol=1e-6)
 
 
+def test_torchrun_shares_a_run_out(ckpt: Path, column: Scene, tmp_path: Path) -> None:
+    write_scene(column, tmp_path / "column.yaml")
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "simulate.py"]
+    command += [f"ckpt={ckpt}", f"scene={tmp_path / 'column.yaml'}", f"out={tmp_path / 'two'}", "device=cpu"]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    simulate(ckpt, [column], out=tmp_path / "one", device="cpu")
+    one, two = (read_trajectory(tmp_path / name / "column_collapse.h5") for name in ("one", "two"))
+    np.testing.assert_allclose(two.position[:10], one.position[:10], atol=1e-5)
+
+
 def test_a_file_of_another_run_is_refused_and_kept(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     (path,) = simulate(ckpt, [drop], out=tmp_path, device="cpu")
     before = path.read_bytes()

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from gns_pl.nn.encode_process_decode import EncodeProcessDecode
     from gns_pl.nn.interaction_network import InteractionNetwork
 
-BLOCK = 1024
-"""Edges, or nodes, in a block."""
+BLOCK_BYTES = 512 * 1024
+"""Size of a block's states; three of them lie in a core's cache at a time."""
 
 
 def process_in_blocks(network: EncodeProcessDecode, node: Tensor, edge: Tensor, edges: SortedEdges) -> Tensor:
@@ -58,44 +58,55 @@ class _Blocks:
         self.state = node.new_empty(len(edge) if kept else 0, width)
         self.output = node.new_empty(number, cast(nn.Linear, network.decoder[-1]).out_features)
         start = edges.start.numpy()
-        self.of_edges = _cut(start, np.searchsorted(start, np.arange(0, len(edge), BLOCK)))
-        self.of_nodes = _cut(start, np.arange(0, number, BLOCK))
+        block = max(1, BLOCK_BYTES // (4 * width))
+        self.of_edges = _cut(start, np.searchsorted(start, np.arange(0, len(edge), block)))
+        self.of_nodes = _cut(start, np.arange(0, number, block))
         self.most_edges = max((int(start[high] - start[low]) for low, high in self.of_edges), default=0)
 
     def run(self) -> Tensor:
         """Return the decoded nodes."""
+        exchange = self.network.exchange
         self._share(self.of_nodes, self._encode)
         for number in range(len(self.layers)):
-            self._share(self.of_edges, functools.partial(self._pass, number))
-            self._share(self.of_nodes, functools.partial(self._update, number))
+            self._share(self.of_edges, functools.partial(self._pass, number), num_buffers=3)
+            if exchange is None or number + 1 == len(self.layers):
+                self._share(self.of_nodes, functools.partial(self._update, number, hand_on=True))
+            else:
+                self._share(self.of_nodes, functools.partial(self._update, number, hand_on=False))
+                exchange(self.node)
+                self._share(self.of_nodes, functools.partial(self._hand_on, number + 1))
         return self.output
 
-    def _share(self, blocks: list[tuple[int, int]], work: Callable[..., None]) -> None:
-        """Do the work on every block, on as many threads as torch has."""
+    def _share(self, blocks: list[tuple[int, int]], work: Callable[..., None], num_buffers: int = 0) -> None:
+        """Do the work on every block, on as many threads as torch has, each with buffers of its own."""
         queue, lock, inference = iter(blocks), threading.Lock(), torch.is_inference_mode_enabled()
 
         def empty_queue() -> None:
             with torch.inference_mode(inference), torch.no_grad():
-                buffers = self.node.new_empty(3, self.most_edges, self.node.shape[1]).unbind()
+                buffers = self.node.new_empty(num_buffers, self.most_edges, self.node.shape[1]).unbind()
                 for low, high in _taken(queue, lock):
-                    work(low, high, buffers)
+                    work(low, high, *buffers)
 
-        threads = max(1, min(torch.get_num_threads(), len(blocks)))
-        for done in [thread_pool(os.getpid()).submit(empty_queue) for _ in range(threads)]:
-            done.result()
+        threads = min(torch.get_num_threads(), len(blocks))
+        if threads <= 1:
+            empty_queue()
+        else:
+            for done in [thread_pool(os.getpid()).submit(empty_queue) for _ in range(threads)]:
+                done.result()
 
-    def _encode(self, low: int, high: int, _: tuple[Tensor, ...]) -> None:
+    def _encode(self, low: int, high: int) -> None:
         """Encode nodes."""
         self.node[low:high] = self.network.node_encoder(self.node_features[low:high])
         self._hand_on(0, low, high)
 
-    def _update(self, number: int, low: int, high: int, _: tuple[Tensor, ...]) -> None:
-        """Update nodes by what layer `number` passed to them, and hand them on."""
+    def _update(self, number: int, low: int, high: int, *, hand_on: bool) -> None:
+        """Update nodes by what layer `number` passed to them."""
         layer, node, received = self.layers[number], self.node[low:high], self.received[low:high]
         if layer.averages:
             received /= self.edges.start[low : high + 1].diff().clamp(min=1)[:, None]
         node += layer.node_mlp(torch.cat([received, node], dim=1))
-        self._hand_on(number + 1, low, high)
+        if hand_on:
+            self._hand_on(number + 1, low, high)
 
     def _hand_on(self, number: int, low: int, high: int) -> None:
         """Make of nodes what layer `number` needs of them, or what the decoder gives behind the last."""
@@ -108,7 +119,7 @@ class _Blocks:
         bias = cast(nn.Linear, layer.edge_mlp[0]).bias
         torch.addmm(bias, node, layer.receiver.weight.t(), out=self.receiving[low:high])
 
-    def _pass(self, number: int, low: int, high: int, buffers: tuple[Tensor, ...]) -> None:
+    def _pass(self, number: int, low: int, high: int, *buffers: Tensor) -> None:
         """Pass the messages of layer `number` to nodes."""
         layer = self.layers[number]
         first, norm = cast(nn.Linear, layer.edge_mlp[0]), cast(nn.LayerNorm, layer.edge_mlp[-1])

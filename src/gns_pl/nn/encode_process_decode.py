@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import cast
 
 import torch
@@ -30,6 +31,8 @@ class EncodeProcessDecode(nn.Module):
     Attributes:
         compiled_edges: use the compiled loops of `nn.edges` where they can be used: float32 on the CPU, edges sorted
             by receiver.
+        exchange: called with the node states [N, L] after every interaction network but the last; it may overwrite
+            rows, as those that another process has computed. None where there is nobody to exchange with.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class EncodeProcessDecode(nn.Module):
         self.decoder = mlp(latent_size, latent_size, num_mlp_layers, output_width, norm=False)
         self.static_edges = static_edges
         self.compiled_edges = True
+        self.exchange: Callable[[Tensor], None] | None = None
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
         """Return the decoded nodes [N, output_width].
@@ -72,4 +76,6 @@ class EncodeProcessDecode(nn.Module):
             last = self.static_edges or layer is self.processor[-1]
             node, updated = layer(node, edge, edge_index, sorted_edges, last=last)
             edge = edge if self.static_edges else updated
+            if self.exchange is not None and layer is not self.processor[-1]:
+                self.exchange(node)
         return cast(Tensor, self.decoder(node))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +18,12 @@ import gns_pl
 from gns_pl.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.generation import chosen_every
+from gns_pl.graph import Static
 from gns_pl.io import StorageError, file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
 from gns_pl.pretrained import find_checkpoint, pretrained_names
 from gns_pl.rollout.acceleration import accelerate
+from gns_pl.rollout.distributed import SlabSimulator, processes
 from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
@@ -118,9 +121,17 @@ def simulate(
     jobs = [_job(out / f"{scene.name}.h5", start_of(scene, checkpoint, seed, identity)) for scene in scenes]
     for job in jobs:
         check_run(job.run, checkpoint.simulator.config)
+    left = [job for job in jobs if job.run.num_steps]
     move(checkpoint, device)
     simulator = accelerate(checkpoint.simulator, **(acceleration or {}))
-    _run([job for job in jobs if job.run.num_steps], simulator, identity)
+    with processes(simulator.velocity_scale.device) as (rank, size):  # here all of them have seen the files as they are
+        step = SlabSimulator(simulator) if size > 1 else None
+        if rank:
+            with torch.inference_mode():
+                deque(unroll(simulator, [job.run for job in left], step), maxlen=0)
+            return [job.path for job in jobs]
+        if left:
+            _write(left, simulator, step, identity)
     for job in jobs:
         if not job.run.num_steps:
             until = f"until it failed at {job.failed_at:g} s" if job.failed_at is not None else "whole"
@@ -168,10 +179,13 @@ def _job(path: Path, start: Trajectory) -> Job:
     return Job(path, Run(start, left, past, made), source, failed_at if isinstance(failed_at, float) else None)
 
 
-def _run(jobs: Sequence[Job], simulator: Simulator, identity: Mapping[str, object]) -> None:
+def _write(
+    jobs: Sequence[Job],
+    simulator: Simulator,
+    step: Callable[[torch.Tensor, Static], torch.Tensor] | None,
+    identity: Mapping[str, object],
+) -> None:
     """Make the steps of all jobs together and close every file when its scene is done."""
-    if not jobs:
-        return
     dt = simulator.config.dt
     needs = check_memory(simulator, [job.run for job in jobs])
     streams = [_open(job) for job in jobs]
@@ -191,7 +205,7 @@ def _run(jobs: Sequence[Job], simulator: Simulator, identity: Mapping[str, objec
     try:
         with counting(label, dt) as show, torch.inference_mode():
             open_jobs = set(range(len(jobs)))
-            for parts in unroll(simulator, [job.run for job in jobs]):
+            for parts in unroll(simulator, [job.run for job in jobs], step):
                 made += 1
                 for number in sorted(open_jobs):
                     if number in parts:
