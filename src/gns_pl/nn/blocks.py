@@ -146,7 +146,6 @@ class _Blocks:
             hidden.numpy(),
             norm.weight.detach().numpy(),
             norm.bias.detach().numpy(),
-            own.numpy(),
             start,
             np.float32(norm.eps),
             other.numpy().reshape(-1)[: end - begin],

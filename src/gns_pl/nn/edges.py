@@ -71,7 +71,6 @@ def norm_block(
     value: Array,
     weight: Array,
     bias: Array,
-    edge: Array,
     start: Any,
     epsilon: Any,
     inverse: Array,
@@ -83,8 +82,9 @@ def norm_block(
 ) -> None:
     """Turn a block's values into their normalised form in place; row 0 of a block's arrays is edge `offset`.
 
-    Fill 1 / deviation, add the messages to the sums at their receivers, and set `updated` to edge + message unless it
-    is empty; it may be `edge` itself.
+    Fill 1 / deviation, and add the messages to the sums at their receivers and, unless it is empty, to `updated`. It
+    holds the edge states when this begins: read from an array of their own, which might be the same, they would keep
+    the compiler from vectorising.
     """
     width = value.shape[1]
     keep = updated.shape[0] > 0
@@ -104,7 +104,7 @@ def norm_block(
                     normal = (value[k, c] - mean) * scale
                     message = normal * weight[c] + bias[c]
                     value[k, c] = normal
-                    updated[k, c] = edge[k, c] + message
+                    updated[k, c] += message
                     received[i, c] += message
             else:
                 for c in range(width):
@@ -197,9 +197,9 @@ class _NormAndSum(torch.autograd.Function):
         # The products before do not need their own output for their gradient, so the norm is made in place of it.
         normal = value.detach()
         inverse = normal.new_empty(len(normal))
-        updated = torch.empty_like(edge) if keep else normal.new_empty(0, normal.shape[1])
+        updated = edge.clone() if keep else normal.new_empty(0, normal.shape[1])
         received = normal.new_zeros(len(edges.start) - 1, normal.shape[1])
-        before = _arrays(normal, weight, bias, edge, edges.start)
+        before = _arrays(normal, weight, bias, edges.start)
         behind = _arrays(inverse, updated, received)
         edges.share(norm_block, lambda part: [*before, np.float32(epsilon), *behind, 0])
         ctx.save_for_backward(normal, inverse, weight)
