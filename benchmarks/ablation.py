@@ -1,6 +1,6 @@
 """What each setting of `collapse` is worth: trainings that differ in one of them, judged on the validation columns.
 
-    python benchmarks/ablation.py                          # every row, three seeds, 2,000 steps: hours on one core
+    python benchmarks/ablation.py                          # every row, three seeds, 3,000 steps: hours on one core
     python benchmarks/ablation.py --only base,adamw --seeds 1 --steps 500
     python benchmarks/ablation.py --only base training.noise_std=2e-4      # overrides of every row
 
@@ -53,7 +53,12 @@ ROWS = {
 BASE = ("training.optimisation.unroll_steps=1",)
 """Of every row but those that say otherwise: unrolling takes the time of three trainings, so that it is a row."""
 
-ERRORS = {"runout_99_error": "runout", "mean_height_error": "mean height", "speed_mean": "speed at the end [m/s]"}
+ERRORS = {
+    "position_error": "position error [spacings]",
+    "runout_99_error": "runout",
+    "mean_height_error": "mean height",
+    "speed_mean": "speed at the end [m/s]",
+}
 TRAIN = Path(__file__).parents[1] / "train.py"
 THREADS = {"OMP_NUM_THREADS": "1"}
 """So small a network gains little from a second thread; two tables side by side gain a factor of two."""
@@ -91,9 +96,10 @@ def judge(folder: Path, columns: dict[str, Trajectory]) -> dict[tuple[str, str],
 
 def cell(values: Sequence[float], error: str) -> str:
     """Return mean ± standard deviation over the seeds."""
-    factor, form = (1.0, ".3f") if error == "speed_mean" else (100.0, "+.0f")
-    spread = f" ± {factor * statistics.stdev(values):{form.replace('+', '')}}" if len(values) > 1 else ""
-    return f"{factor * statistics.mean(values):{form}}{spread}" + ("" if error == "speed_mean" else " %")
+    relative, digits = error.endswith("_error") and error != "position_error", {"speed_mean": 3, "position_error": 1}
+    factor, form = (100.0, ".0f") if relative else (1.0, f".{digits.get(error)}f")
+    spread = f" ± {factor * statistics.stdev(values):{form}}" if len(values) > 1 else ""
+    return f"{factor * statistics.mean(values):{'+' if relative else ''}{form}}{spread}" + (" %" if relative else "")
 
 
 def main() -> None:
@@ -101,7 +107,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", help=f"rows, separated by commas: {', '.join(ROWS)}")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--out", type=Path, default=Path("runs/ablation"))
     parser.add_argument("--root", type=Path, default=Path("datasets/collapse"), help="the data set; made where missing")
     args, overrides = parser.parse_known_args()

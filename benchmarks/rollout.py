@@ -36,7 +36,6 @@ from torch_geometric.nn import MessagePassing
 
 import gns_pl.simulator
 from gns_pl.nn import EncodeProcessDecode
-from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.scene import FACES, Material, Wall, column_collapse, fill_scene
@@ -254,19 +253,27 @@ def least_bytes(simulator: Simulator, nodes: int, edges: int) -> float:
     return float(layers * row * (edges * 3 + nodes * 6))
 
 
-def rates(device: str) -> tuple[float, float]:
-    """Return the machine's rates: float32 product [FLOP/s], copy (read and write) [B/s]."""
-    matrix, array = torch.randn(2048, 2048, device=device), torch.ones(64 * 2**20, device=device)
-    into = torch.empty_like(array)
-    product, copied = [], []
-    for _ in range(6):
-        for seconds, work in ((product, lambda: matrix @ matrix), (copied, lambda: into.copy_(array))):
-            began = time.perf_counter()
-            work()
-            if device == "cuda":
-                torch.cuda.synchronize()
-            seconds.append(time.perf_counter() - began)
-    return 2 * 2048**3 / statistics.median(product[1:]), 8 * array.numel() / statistics.median(copied[1:])
+class Machine:
+    """What the machine gives at the time: float32 products [FLOP/s], and copies, read and write [B/s]."""
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+        self.matrix, self.array = torch.randn(2048, 2048, device=device), torch.ones(2**25, device=device)
+        self.into = torch.empty_like(self.array)
+        self.product: list[float] = []
+        self.copy: list[float] = []
+
+    def measure(self) -> None:
+        """Take one more sample of both."""
+        self.product.append(2 * 2048**3 / self._seconds(lambda: self.matrix @ self.matrix))
+        self.copy.append(8 * self.array.numel() / self._seconds(lambda: self.into.copy_(self.array)))
+
+    def _seconds(self, work: Callable[[], object]) -> float:
+        began = time.perf_counter()
+        work()
+        if self.device == "cuda":
+            torch.cuda.synchronize()
+        return time.perf_counter() - began
 
 
 def measure(
@@ -285,9 +292,11 @@ def measure(
     peaks: dict[str, float] = {}
     with torch.inference_mode():
         edges = int(simulator.search(history[:, -1], simulator.config.connectivity_radius).shape[1])
-        product, copied = rates(device)
+        machine = Machine(device)
+        machine.measure()
         for turn in range(turns + 1):
             for each, variant in made.items():
+                machine.measure()
                 clock = Clock(variant)
                 if device == "cuda":
                     torch.cuda.reset_peak_memory_stats()
@@ -305,6 +314,7 @@ def measure(
                 times[each].append({**clock.seconds, "rest": rest, "step": whole})
                 on_gpu = torch.cuda.max_memory_allocated() if device == "cuda" else 0
                 peaks[each] = (on_gpu or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024) / 1e9
+    product, copied = statistics.median(machine.product[1:]), statistics.median(machine.copy[1:])
     medians = {each: {key: statistics.median(t[key] for t in ts) for key in ts[0]} for each, ts in times.items()}
     work, traffic = flops(simulator, number, edges), least_bytes(simulator, number, edges)
     rows = []
@@ -357,6 +367,37 @@ HEAD = (
 )
 
 
+def draw(table: Path) -> Path:
+    """Draw the table's time of a step against the number of particles, beside it, and return the figure's path."""
+    import matplotlib.pyplot as plt
+
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    series: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
+    for row in rows:
+        key = (row["network"], row["threads"], row["variant"])
+        values = (float(row["particles"]), float(row["step"]), 100 * float(row["share_of_sgemm"]))
+        series.setdefault(key, []).append(values)
+    colours = {name: f"C{index}" for index, name in enumerate(dict.fromkeys(row["network"] for row in rows))}
+    for (name, threads, variant), values in sorted(series.items()):
+        if variant not in ("plain", "step"):
+            continue
+        number, step, share = zip(*sorted(values), strict=True)
+        style = {"color": colours[name], "linestyle": "-" if variant == "step" else ":", "linewidth": float(threads)}
+        label = f"{name}, {threads} threads{', plain PyG' if variant == 'plain' else ''}"
+        axes[0].loglog(number, step, "o", markersize=4, label=label, **style)
+        axes[1].semilogx(number, share, "o", markersize=4, **style)
+    axes[0].set(xlabel="particles", ylabel="ms a step")
+    axes[0].legend(fontsize=7, ncols=2)
+    axes[1].set(xlabel="particles", ylabel="network's products, % of the rate of a large one", ylim=(0, None))
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    path = table.with_suffix(".png")
+    figure.savefig(path, dpi=130)
+    return path
+
+
 def main() -> None:
     """Measure, print, and write a table if asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -367,9 +408,8 @@ def main() -> None:
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--plain-up-to", type=int, default=20_000, help="no reference above so many particles")
-    parser.add_argument("--out", type=Path, help="CSV file; rows are added to it")
+    parser.add_argument("--out", type=Path, help="CSV file; rows are added to it, and a figure is drawn beside it")
     args = parser.parse_args()
-    keep_freed_memory()
     versions = f"torch {torch.__version__}, PyG {torch_geometric.__version__}"
     print(f"{platform.machine()}, {versions}, float32 unless the variant says otherwise, turns: {args.turns}")
     print(HEAD, flush=True)
@@ -386,6 +426,8 @@ def main() -> None:
                         writer = csv.DictWriter(file, [field.name for field in fields(Row)])
                         writer.writeheader() if new else None
                         writer.writerows(asdict(row) for row in rows)
+    if args.out:
+        print(draw(args.out))
 
 
 if __name__ == "__main__":
