@@ -55,7 +55,15 @@ def test_means_do_not_depend_on_the_number_of_processes(ranks: int) -> None:
     assert gathered(errors, ranks) == [alone] * ranks
     assert "profile_l1" not in alone
     assert alone["mse_1"] == pytest.approx(np.mean([each["mse_1"] for each in errors]))
-    assert alone["runout_99_error"] == pytest.approx(np.nanmean([each["runout_99_error"] for each in errors]))
+
+
+def test_relative_runouts_are_those_of_all_runouts_together() -> None:
+    errors = make_errors(4)
+    for each, truth, error in zip(errors, (2.0, 0.5, 0.02, 1.0), (0.1, math.nan, 3.0, -0.2), strict=True):
+        each["runout_99_error"], each["runout_99_difference"] = error, error * truth
+        each["runout_99"] = truth * (1 + error)
+    (alone,) = gathered(errors, 1)
+    assert alone["runout_99_error"] == pytest.approx((0.2 + 0.06 - 0.2) / (2.0 + 0.02 + 1.0))
 
 
 def test_a_failed_rollout_shows_in_the_monitored_error_alone() -> None:

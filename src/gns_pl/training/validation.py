@@ -37,6 +37,9 @@ class ValidationTable:
     def means(self, trainer: Trainer) -> dict[str, float]:
         """Return the mean of every error that is defined for a trajectory at least, the same on every process.
 
+        Relative errors of the runout are weighted by the runout they are relative to: that of a drop is a spacing or
+        two, and its error would outweigh those of all columns.
+
         Rows are put together before they are summed, so the means do not depend on the number of processes.
 
         Args:
@@ -51,7 +54,14 @@ class ValidationTable:
             for column, name in enumerate(NAMES):
                 value = errors[name]
                 if name == MONITORED or not math.isnan(value):
-                    table[slot * ranks + rank, :, column] = torch.tensor([value, 1.0], dtype=precision)
+                    weight = _weight(name, errors)
+                    table[slot * ranks + rank, :, column] = torch.tensor([weight * value, weight], dtype=precision)
         joined = strategy.reduce(table.to(strategy.root_device), reduce_op="sum").cpu()
         total, count = joined.sum(dim=0).tolist()
         return {name: total[i] / count[i] for i, name in enumerate(NAMES) if count[i]}
+
+
+def _weight(name: str, errors: Mapping[str, float]) -> float:
+    if name != "runout_99_error":
+        return 1.0
+    return abs(errors["runout_99"] - errors["runout_99_difference"])
