@@ -43,7 +43,8 @@ print(*measure(1.7))
 def test_the_estimate_is_about_what_a_step_takes() -> None:
     root = Path(__file__).parents[2]
     command = [sys.executable, "-c", MEASURE]
-    said = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
+    for _ in range(2):  # in the first, compiling may take more than a step
+        said = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
     measured, estimated = map(int, said.split())
     assert measured > 1e8
     assert 0.8 < estimated / measured < 1.5

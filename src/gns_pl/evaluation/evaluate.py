@@ -136,7 +136,7 @@ def evaluate(
         if scene.obstacles:  # said here, before minutes of MPM
             raise InputError(f"scene {name!r} has obstacles, and a learned simulator knows no obstacles yet.")
     _make_folder(out)
-    move(checkpoint, device)
+    move(checkpoint, device, "evaluation.device")
     results, files = {}, []
     for name, scene in built.items():
         print(f"{name}: MPM (computed once, then cached) and the learned rollout …", flush=True)

@@ -122,7 +122,7 @@ def simulate(
     for job in jobs:
         check_run(job.run, checkpoint.simulator.config)
     left = [job for job in jobs if job.run.num_steps]
-    move(checkpoint, device)
+    move(checkpoint, device, "device")
     simulator = accelerate(checkpoint.simulator, **(acceleration or {}))
     with processes(simulator.velocity_scale.device) as (rank, size):  # here all of them have seen the files as they are
         step = SlabSimulator(simulator) if size > 1 else None
@@ -239,12 +239,13 @@ def _frame(position: torch.Tensor) -> NDArray[np.float32]:
     return frame
 
 
-def move(checkpoint: Checkpoint, device: str) -> None:
+def move(checkpoint: Checkpoint, device: str, option: str) -> None:
     """Move a checkpoint's simulator to a device.
 
     Args:
         checkpoint: moved in place.
         device: as torch names it, or "auto".
+        option: by which the user chose it, for messages.
 
     Raises:
         InputError: a device that is not there.
@@ -253,4 +254,4 @@ def move(checkpoint: Checkpoint, device: str) -> None:
     try:
         checkpoint.simulator.to(torch.device(name))
     except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device={device} cannot be used here ({str(error).splitlines()[0]}).") from error
+        raise InputError(f"{option}={device} cannot be used here ({str(error).splitlines()[0]}).") from error
