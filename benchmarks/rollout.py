@@ -17,6 +17,7 @@ gathered.
 from __future__ import annotations
 
 import argparse
+import copy
 import csv
 import platform
 import resource
@@ -31,6 +32,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 import torch_geometric
+from plain import concatenated_mlp
 from torch import Tensor, nn
 from torch_geometric.nn import MessagePassing
 
@@ -136,12 +138,7 @@ class PlainNetwork(nn.Module):
         self.node_encoder, self.edge_encoder, self.decoder = network.node_encoder, network.edge_encoder, network.decoder
         self.layers = nn.ModuleList()
         for layer in network.processor:
-            parts = (layer.sender.weight, layer.receiver.weight, layer.edge_mlp[0].weight)
-            whole = nn.Linear(3 * parts[0].shape[1], parts[0].shape[0])
-            with torch.no_grad():
-                whole.weight.copy_(torch.cat(parts, dim=1))
-                whole.bias.copy_(layer.edge_mlp[0].bias)
-            self.layers.append(PlainLayer(nn.Sequential(whole, *layer.edge_mlp[1:]), layer.node_mlp))
+            self.layers.append(PlainLayer(concatenated_mlp(layer), layer.node_mlp))
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
         """Return the decoded nodes."""
@@ -167,18 +164,10 @@ def make_variant(name: str, simulator: Simulator) -> Simulator:
         variant = accelerate(simulator)
         variant._modules["network"] = PlainNetwork(simulator.network).to(simulator.velocity_scale.device)
         return variant
-    if name == "PyG":  # the first layer split, no compiled loop
-        variant = accelerate(simulator)
-        network = EncodeProcessDecode.__new__(EncodeProcessDecode)
-        network.__dict__.update(simulator.network.__dict__)
-        network.compiled_edges = False
-        variant._modules["network"] = network
-        return variant
-    if name == "static":
-        variant = accelerate(simulator)
-        network = EncodeProcessDecode.__new__(EncodeProcessDecode)
-        network.__dict__.update(simulator.network.__dict__)
-        network.static_edges = True
+    if name in ("PyG", "static"):
+        variant, network = accelerate(simulator), copy.copy(simulator.network)
+        network.compiled_edges = name != "PyG"  # else the first layer split is all there is
+        network.static_edges = name == "static"
         variant._modules["network"] = network
         return variant
     words = name.split("+")

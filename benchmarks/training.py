@@ -39,6 +39,7 @@ from hydra.utils import instantiate
 from lightning.pytorch import Callback, Trainer
 from lightning.pytorch.loggers import CSVLogger
 from omegaconf import OmegaConf
+from plain import concatenated_mlp
 from torch import Tensor, nn
 
 from gns_pl.data.datamodule import TrajectoryDataModule
@@ -64,12 +65,7 @@ class PlainNetwork(nn.Module):
         self.averages = any(layer.averages for layer in network.processor)
         self.edge_mlps, self.node_mlps, self.decoder = nn.ModuleList(), nn.ModuleList(), network.decoder
         for layer in network.processor:
-            parts = (layer.sender.weight, layer.receiver.weight, layer.edge_mlp[0].weight)
-            whole = nn.Linear(3 * parts[0].shape[1], parts[0].shape[0])
-            with torch.no_grad():
-                whole.weight.copy_(torch.cat(parts, dim=1))
-                whole.bias.copy_(layer.edge_mlp[0].bias)
-            self.edge_mlps.append(nn.Sequential(whole, *layer.edge_mlp[1:]))
+            self.edge_mlps.append(concatenated_mlp(layer))
             self.node_mlps.append(layer.node_mlp)
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:

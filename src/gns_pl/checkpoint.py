@@ -116,3 +116,21 @@ def load_simulator(path: str | Path) -> Simulator:
         InputError: as `load_checkpoint`.
     """
     return load_checkpoint(path).simulator
+
+
+def move(checkpoint: Checkpoint, device: str, option: str) -> None:
+    """Move a checkpoint's simulator to a device.
+
+    Args:
+        checkpoint: moved in place.
+        device: as torch names it; "auto" is a GPU where there is one.
+        option: by which the user chose it, for messages.
+
+    Raises:
+        InputError: a device that is not there.
+    """
+    name = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    try:
+        checkpoint.simulator.to(torch.device(name))
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"{option}={device} cannot be used here ({str(error).splitlines()[0]}).") from error

@@ -7,12 +7,13 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.io import read_header, read_trajectory, write_trajectory
+from gns_pl.io import StorageError, read_header, read_trajectory, write_trajectory
 from gns_pl.io.hdf5 import GROWING
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
 from gns_pl.scene import Scene
@@ -114,6 +115,20 @@ for number in itertools.count():
     assert found is not None and found[1].num_frames > 190
     position = read_trajectory(found[0], num_frames=found[1].num_frames).position
     np.testing.assert_array_equal(position[:, 0, 0], np.arange(len(position)))
+
+
+def test_a_full_disk_is_one_sentence_and_keeps_the_frames(
+    moving: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = TrajectoryStream(tmp_path / "a.h5", moving)
+    stream.append(moving.position[:50])
+    full = SimpleNamespace(free=2**20)
+    monkeypatch.setattr("gns_pl.io.stream.shutil.disk_usage", lambda path: full)
+    with pytest.raises(StorageError, match=r"a\.h5\.growing: the disk is full; make room"):
+        stream.append(moving.position)  # more than a chunk
+    stream.close()
+    found = find_frames(tmp_path / "a.h5")
+    assert found is not None and 40 <= found[1].num_frames <= 50
 
 
 def test_another_file_in_the_place_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import pytest
 
 from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.errors import InputError
+from gns_pl.generation.lock import locked
 from gns_pl.io import read_trajectory
 from gns_pl.io.stream import find_frames
 from gns_pl.rollout import rollout
@@ -73,6 +75,39 @@ def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     simulate(ckpt, [drop], out=tmp_path / "whole", duration=0.6, device="cpu")
     whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "out"))
     np.testing.assert_allclose(parts.position, whole.position, atol=1e-6)
+
+
+def test_a_run_killed_before_its_file_had_its_name_gets_it(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
+    (path,) = simulate(ckpt, [drop], out=tmp_path, device="cpu")
+    whole = read_trajectory(path)
+    path.rename(tmp_path / "cube_drop.h5.growing")
+    simulate(ckpt, [drop], out=tmp_path, device="cpu")
+    np.testing.assert_array_equal(read_trajectory(path).position, whole.position)
+    assert not (tmp_path / "cube_drop.h5.growing").exists()
+
+
+def test_a_long_history_is_taken_up_whole(drop: Scene, tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "long.ckpt", Checkpoint(make_simulator(input_sequence_length=14), {}, {}))
+    for out, durations in (("whole", [0.2]), ("parts", [0.16, 0.2])):
+        for duration in durations:
+            simulate(tmp_path / "long.ckpt", [drop], out=tmp_path / out, duration=duration, device="cpu")
+    whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "parts"))
+    np.testing.assert_array_equal(parts.position, whole.position)
+
+
+def test_a_second_run_waits_for_the_first(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
+    write_scene(drop, tmp_path / "drop.yaml")
+    command = [sys.executable, "simulate.py", f"ckpt={ckpt}", f"scene={tmp_path / 'drop.yaml'}"]
+    command += [f"out={tmp_path / 'out'}", "device=cpu"]
+    (tmp_path / "out").mkdir()
+    with locked(tmp_path / "out" / ".simulate.lock"):
+        second = subprocess.Popen(
+            command, cwd=ROOT, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"}
+        )
+        assert second.stdout is not None
+        assert "another run is writing here" in second.stdout.readline()
+        assert not (tmp_path / "out" / "cube_drop.h5.growing").exists()
+    assert "21 frames" in second.communicate()[0]
 
 
 def test_torchrun_shares_a_run_out(ckpt: Path, column: Scene, tmp_path: Path) -> None:

@@ -116,9 +116,8 @@ def evaluate(
     Raises:
         InputError: a checkpoint, a scene or a folder that cannot be used.
     """
-    from gns_pl.checkpoint import load_checkpoint
+    from gns_pl.checkpoint import load_checkpoint, move
     from gns_pl.evaluation import report, tracking
-    from gns_pl.rollout.simulate import move
 
     checkpoint = load_checkpoint(checkpoint_path)
     if "mpm" not in checkpoint.data:

@@ -8,6 +8,7 @@ which goes on copies what is there into a new one. Finished, the file takes its 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
@@ -32,6 +33,9 @@ from gns_pl.io.hdf5 import (
     write_content,
 )
 from gns_pl.trajectory import Trajectory
+
+ROOM = 2**20
+"""Bytes that are left free on the disk, for what HDF5 writes besides frames."""
 
 _SET_ASIDE = f".aside{GROWING}"
 _VALUE = schema.LOCATION[POSITION.name]
@@ -79,6 +83,9 @@ class TrajectoryStream:
     def _write(self) -> None:
         waiting, self._waiting = self._waiting, []
         if waiting:
+            # HDF5 does not survive a full disk, so it is not let near one.
+            if shutil.disk_usage(self.growing.parent).free < sum(frame.nbytes for frame in waiting) + ROOM:
+                raise StorageError(f"{self.growing}: the disk is full; make room and go on from the frames in it.")
             with _told(self.growing):
                 value = self._file[_VALUE]
                 length = len(value)
@@ -177,4 +184,4 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError) as error:
-        raise StorageError(f"{path}: cannot be written ({error}).") from error
+        raise StorageError(f"{path}: cannot be written ({str(error).splitlines()[0]}).") from error

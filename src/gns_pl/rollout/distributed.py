@@ -54,14 +54,11 @@ def cut_slabs(position: Tensor, radius: float, rank: int, size: int) -> Slab:
     owner = torch.empty(len(along), dtype=torch.int64, device=along.device)
     owner[along.argsort(stable=True)] = torch.arange(len(along), device=along.device) * size // max(1, len(along))
     reach = radius * (1 + 1e-5)  # rounding never loses a neighbour
-    near = torch.empty(size, len(along), dtype=torch.bool, device=along.device)
+    near = torch.zeros(size, len(along), dtype=torch.bool, device=along.device)
     for other in range(size):
         inside = along[owner == other]
-        near[other] = owner != other
         if len(inside):
-            near[other] &= (along >= inside.min() - reach) & (along <= inside.max() + reach)
-        else:
-            near[other] = False
+            near[other] = (owner != other) & (along >= inside.min() - reach) & (along <= inside.max() + reach)
     own, halo = torch.nonzero(owner == rank)[:, 0], torch.nonzero(near[rank])[:, 0]
     send = tuple(torch.nonzero(near[other][own])[:, 0] for other in range(size))
     receive = tuple(torch.nonzero(owner[halo] == other)[:, 0] for other in range(size))
@@ -144,10 +141,23 @@ def processes(device: torch.device) -> Iterator[tuple[int, int]]:
         torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
-        dist.barrier()
         yield dist.get_rank(), dist.get_world_size()
     finally:
         dist.destroy_process_group()
+
+
+def meet() -> None:
+    """Wait until all processes are here; alone, go on."""
+    if dist.is_initialized():
+        dist.barrier()
+
+
+def share_of_memory(device: torch.device) -> float:
+    """Return the share of a run that one memory holds: a GPU its process's, a machine those of all its processes."""
+    if not dist.is_initialized():
+        return 1.0
+    here = 1 if device.type == "cuda" else int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    return here / dist.get_world_size()
 
 
 class _Local(nn.Module):

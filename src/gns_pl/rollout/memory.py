@@ -38,8 +38,13 @@ def estimate_bytes(config: SimulatorConfig, num_particles: int, num_edges: int, 
     return node + max(corners + num_edges * 16, making_features, features + states)
 
 
-def check_memory(simulator: Simulator, runs: list[Run]) -> str:
+def check_memory(simulator: Simulator, runs: list[Run], share: float = 1.0) -> str:
     """Return in words what the steps of scenes need and what there is.
+
+    Args:
+        simulator: makes the steps.
+        runs: the scenes.
+        share: of edges and states that this memory holds, where several processes share a run.
 
     Raises:
         InputError: less is free than is needed.
@@ -50,6 +55,7 @@ def check_memory(simulator: Simulator, runs: list[Run]) -> str:
     radius, graphs = config.connectivity_radius, static.num_graphs
     edges = radius_graph(position, radius, static.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
     needed = estimate_bytes(config, len(position), int(ROOM * edges), in_blocks=device.type == "cpu")
+    needed = int(share * needed)
     free = _free_bytes(device)
     said = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"
     if free is None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,15 +16,16 @@ import torch
 from numpy.typing import NDArray
 
 import gns_pl
-from gns_pl.checkpoint import Checkpoint, load_checkpoint
+from gns_pl.checkpoint import Checkpoint, load_checkpoint, move
 from gns_pl.errors import InputError
 from gns_pl.generation import chosen_every
+from gns_pl.generation.lock import locked
 from gns_pl.graph import Static
 from gns_pl.io import StorageError, file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
 from gns_pl.pretrained import find_checkpoint, pretrained_names
 from gns_pl.rollout.acceleration import accelerate
-from gns_pl.rollout.distributed import SlabSimulator, processes
+from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
@@ -118,13 +120,17 @@ def simulate(
     }
     if duration is not None:
         scenes = [scene.replace(duration=duration) for scene in scenes]
-    jobs = [_job(out / f"{scene.name}.h5", start_of(scene, checkpoint, seed, identity)) for scene in scenes]
-    for job in jobs:
-        check_run(job.run, checkpoint.simulator.config)
-    left = [job for job in jobs if job.run.num_steps]
     move(checkpoint, device, "device")
     simulator = accelerate(checkpoint.simulator, **(acceleration or {}))
-    with processes(simulator.velocity_scale.device) as (rank, size):  # here all of them have seen the files as they are
+    with processes(simulator.velocity_scale.device) as (rank, size), _alone(out) if rank == 0 else nullcontext():
+        meet()  # so that nobody looks at files another run is still writing
+        starts = [start_of(scene, checkpoint, seed, identity) for scene in scenes]
+        length = simulator.config.input_sequence_length
+        jobs = [_job(out / f"{start.scene.name}.h5", start, length) for start in starts]
+        for job in jobs:
+            check_run(job.run, simulator.config)
+        left = [job for job in jobs if job.run.num_steps or job.source != job.path]
+        meet()  # all have seen the files as they were
         step = SlabSimulator(simulator) if size > 1 else None
         if rank:
             with torch.inference_mode():
@@ -133,7 +139,7 @@ def simulate(
         if left:
             _write(left, simulator, step, identity)
     for job in jobs:
-        if not job.run.num_steps:
+        if job not in left:
             until = f"until it failed at {job.failed_at:g} s" if job.failed_at is not None else "whole"
             print(f"{job.path}: is there {until}")
     return [job.path for job in jobs]
@@ -155,8 +161,8 @@ def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mappin
     return start_trajectory(scene, particles, config.dt, dict(provenance))
 
 
-def _job(path: Path, start: Trajectory) -> Job:
-    """Return what is to do for a scene, after a look at what is there."""
+def _job(path: Path, start: Trajectory, length: int) -> Job:
+    """Return what is to do for a scene, after a look at what is there; a step needs `length` frames of it."""
     wanted = math.ceil(start.scene.duration / start.dt - 1e-6)
     found = find_frames(path)
     if found is None:
@@ -174,7 +180,7 @@ def _job(path: Path, start: Trajectory) -> Job:
     made = header.num_frames - 1
     failed_at = header.provenance.get("failed_at")
     left = 0 if failed_at is not None else max(0, wanted - made)
-    first = max(0, made - 9)
+    first = max(0, made + 1 - length)
     past = read_window(source, first, made + 1 - first)
     return Job(path, Run(start, left, past, made), source, failed_at if isinstance(failed_at, float) else None)
 
@@ -187,7 +193,7 @@ def _write(
 ) -> None:
     """Make the steps of all jobs together and close every file when its scene is done."""
     dt = simulator.config.dt
-    needs = check_memory(simulator, [job.run for job in jobs])
+    needs = check_memory(simulator, [job.run for job in jobs], share=share_of_memory(simulator.velocity_scale.device))
     streams = [_open(job) for job in jobs]
     total = max(job.run.num_steps for job in jobs)
     label = ", ".join(job.run.start.scene.name for job in jobs)
@@ -204,7 +210,9 @@ def _write(
 
     try:
         with counting(label, dt) as show, torch.inference_mode():
-            open_jobs = set(range(len(jobs)))
+            open_jobs = {number for number, job in enumerate(jobs) if job.run.num_steps}
+            for number in set(range(len(jobs))) - open_jobs:
+                finish(number)  # killed between its last frame and its name
             for parts in unroll(simulator, [job.run for job in jobs], step):
                 made += 1
                 for number in sorted(open_jobs):
@@ -226,6 +234,13 @@ def _write(
     print(f"{made} steps in {seconds:.1f} s: {made / seconds:.3g} steps/s, {made * dt / seconds:.3g} simulated s/s")
 
 
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Be the only run that writes into a folder."""
+    with locked(out / ".simulate.lock", on_wait=lambda: print(f"{out}: another run is writing here; waiting for it")):
+        yield
+
+
 def _open(job: Job) -> TrajectoryStream:
     if job.source is not None:
         return go_on(job.path, job.run.start, job.source, job.run.made + 1)
@@ -237,21 +252,3 @@ def _open(job: Job) -> TrajectoryStream:
 def _frame(position: torch.Tensor) -> NDArray[np.float32]:
     frame: NDArray[np.float32] = position.cpu().numpy()[None]
     return frame
-
-
-def move(checkpoint: Checkpoint, device: str, option: str) -> None:
-    """Move a checkpoint's simulator to a device.
-
-    Args:
-        checkpoint: moved in place.
-        device: as torch names it, or "auto".
-        option: by which the user chose it, for messages.
-
-    Raises:
-        InputError: a device that is not there.
-    """
-    name = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
-    try:
-        checkpoint.simulator.to(torch.device(name))
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"{option}={device} cannot be used here ({str(error).splitlines()[0]}).") from error
