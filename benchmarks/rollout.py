@@ -2,7 +2,7 @@
 
     python benchmarks/rollout.py                                        # what docs/performance.md shows
     python benchmarks/rollout.py --sizes 10000 --networks 10x128 --threads 1 2
-    python benchmarks/rollout.py --device cuda --variants step tf32 bfloat16 compiled compiled+bfloat16
+    python benchmarks/rollout.py --device cuda --turns 20 --variants plain step captured captured+tf32 captured+bfloat16
     python benchmarks/rollout.py --sizes 1000000 --networks 3x32 --variants step
 
 A step is all of it: neighbours, features, network, integration; not files. Particles fill a column at rest with a
@@ -38,7 +38,7 @@ from torch_geometric.nn import MessagePassing
 
 import gns_pl.simulator
 from gns_pl.nn import EncodeProcessDecode
-from gns_pl.rollout.acceleration import accelerate
+from gns_pl.rollout.acceleration import CapturedStep, accelerate
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.scene import FACES, Material, Wall, column_collapse, fill_scene
 from gns_pl.simulator import Simulator, SimulatorConfig
@@ -78,6 +78,9 @@ VARIANTS = (
     "compiled",
     "compiled+tf32",
     "compiled+bfloat16",
+    "captured",
+    "captured+tf32",
+    "captured+bfloat16",
 )
 PARTS = ("search", "features", "network")
 
@@ -171,8 +174,14 @@ def make_variant(name: str, simulator: Simulator) -> Simulator:
         variant._modules["network"] = network
         return variant
     words = name.split("+")
-    precision = next((word for word in words if word in ("tf32", "bfloat16")), "float32")
-    return accelerate(simulator, skin=0.25 * ("skin" in words), precision=precision, compiled="compiled" in words)
+    precision = precision_of(name)
+    return accelerate(
+        simulator,
+        skin=0.25 * ("skin" in words),
+        precision=precision,
+        compiled="compiled" in words,
+        captured="captured" in words,
+    )
 
 
 def make_start(simulator: Simulator, size: int) -> Run:
@@ -243,26 +252,42 @@ def least_bytes(simulator: Simulator, nodes: int, edges: int) -> float:
 
 
 class Machine:
-    """What the machine gives at the time: float32 products [FLOP/s], and copies, read and write [B/s]."""
+    """What the machine gives at the time: products [FLOP/s], and copies, read and write [B/s]."""
 
     def __init__(self, device: str) -> None:
         self.device = device
-        self.matrix, self.array = torch.randn(2048, 2048, device=device), torch.ones(2**25, device=device)
+        self.size = 8192 if device == "cuda" else 2048
+        self.matrix, self.array = torch.randn(self.size, self.size, device=device), torch.ones(2**25, device=device)
         self.into = torch.empty_like(self.array)
-        self.product: list[float] = []
+        self.products: dict[str, list[float]] = {}
         self.copy: list[float] = []
 
-    def measure(self) -> None:
-        """Take one more sample of both."""
-        self.product.append(2 * 2048**3 / self._seconds(lambda: self.matrix @ self.matrix))
+    def measure(self, precision: str) -> None:
+        """Take one more sample of a product in a precision, and of a copy."""
+        matrix = self.matrix.bfloat16() if precision == "bfloat16" else self.matrix
+        torch.set_float32_matmul_precision("high" if precision == "tf32" else "highest")
+        rate = 2 * self.size**3 / self._seconds(lambda: matrix @ matrix)
+        torch.set_float32_matmul_precision("highest")
+        self.products.setdefault(precision, []).append(rate)
         self.copy.append(8 * self.array.numel() / self._seconds(lambda: self.into.copy_(self.array)))
 
+    def product(self, precision: str) -> float:
+        """Return the median rate; the first sample warmed up."""
+        return statistics.median(self.products[precision][1:])
+
     def _seconds(self, work: Callable[[], object]) -> float:
+        if self.device == "cuda":
+            torch.cuda.synchronize()
         began = time.perf_counter()
         work()
         if self.device == "cuda":
             torch.cuda.synchronize()
         return time.perf_counter() - began
+
+
+def precision_of(variant: str) -> str:
+    """Return what a variant's products are made in."""
+    return next((word for word in variant.split("+") if word in ("tf32", "bfloat16")), "float32")
 
 
 def measure(
@@ -282,16 +307,19 @@ def measure(
     with torch.inference_mode():
         edges = int(simulator.search(history[:, -1], simulator.config.connectivity_radius).shape[1])
         machine = Machine(device)
-        machine.measure()
         for turn in range(turns + 1):
             for each, variant in made.items():
-                machine.measure()
+                machine.measure(precision_of(each))
                 clock = Clock(variant)
                 if device == "cuda":
                     torch.cuda.reset_peak_memory_stats()
                 began = clock.now()
-                outputs[each] = variant.normalised_acceleration(history, static)
-                variant.integrate(history, outputs[each], static)
+                if isinstance(variant.forward, CapturedStep):
+                    variant(history, static)
+                    outputs[each] = variant.forward.normalised
+                else:
+                    outputs[each] = variant.normalised_acceleration(history, static)
+                    variant.integrate(history, outputs[each], static)
                 whole = clock.now() - began
                 if turn == 0:
                     continue  # warms up
@@ -303,11 +331,13 @@ def measure(
                 times[each].append({**clock.seconds, "rest": rest, "step": whole})
                 on_gpu = torch.cuda.max_memory_allocated() if device == "cuda" else 0
                 peaks[each] = (on_gpu or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024) / 1e9
-    product, copied = statistics.median(machine.product[1:]), statistics.median(machine.copy[1:])
+    copied = statistics.median(machine.copy[1:])
     medians = {each: {key: statistics.median(t[key] for t in ts) for key in ts[0]} for each, ts in times.items()}
     work, traffic = flops(simulator, number, edges), least_bytes(simulator, number, edges)
     rows = []
     for each, median in medians.items():
+        captured = each.startswith("captured")  # one graph: its parts are not told apart
+        network = median["step"] if captured else median["network"]
         reference = outputs.get("plain", outputs.get("step"))
         difference = float("nan")
         if reference is not None and each != "static":
@@ -321,15 +351,15 @@ def measure(
                 device=torch.cuda.get_device_name() if device == "cuda" else "cpu",
                 threads=threads,
                 step=1e3 * median["step"],
-                search=1e3 * median["search"],
-                features=1e3 * median["features"],
-                network_ms=1e3 * median["network"],
+                search=float("nan") if captured else 1e3 * median["search"],
+                features=float("nan") if captured else 1e3 * median["features"],
+                network_ms=1e3 * network,
                 rest=1e3 * median["rest"],
                 particles_per_s=number / median["step"],
-                gflops=work / median["network"] / 1e9,
-                share_of_sgemm=work / median["network"] / product,
-                gbytes=traffic / median["network"] / 1e9,
-                share_of_copy=traffic / median["network"] / copied,
+                gflops=work / network / 1e9,
+                share_of_sgemm=work / network / machine.product(precision_of(each)),
+                gbytes=traffic / network / 1e9,
+                share_of_copy=traffic / network / copied,
                 times_plain=medians["plain"]["step"] / median["step"] if "plain" in medians else float("nan"),
                 difference=difference,
                 peak_memory=peaks[each],

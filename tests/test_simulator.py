@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -96,7 +98,7 @@ def test_moving_scene_and_box_changes_nothing(drop: Scene) -> None:
     history = torch.from_numpy(past).transpose(0, 1).double()
     simulator = simulator.double()
     shift = torch.tensor([2.0, -1.0, 0.5], dtype=torch.float64)
-    moved = Static(**(vars(static) | {"lower": static.lower + shift, "upper": static.upper + shift}))
+    moved = dataclasses.replace(static, lower=static.lower + shift, upper=static.upper + shift)
     first = simulator(history, static)
     torch.testing.assert_close(simulator(history + shift, moved) - shift, first, atol=1e-6, rtol=0)
 

@@ -197,7 +197,7 @@ class Simulator(nn.Module):
         output: Tensor = self.network(node, edge, edge_index)
         if config.output != "acceleration":
             increment, gate = output.chunk(2, dim=1)
-            falling = velocity[:, -1] / config.dt + static.gravity[static.batch]  # (v + g Δt) / Δt
+            falling = velocity[:, -1] / config.dt + static.of_particles(static.gravity)  # (v + g Δt) / Δt
             if config.output == "held":
                 increment = torch.sigmoid(gate) * increment
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
@@ -206,10 +206,12 @@ class Simulator(nn.Module):
     def _in_contact(self, position: Tensor, edge_index: Tensor, static: Static) -> Tensor:
         """Return which particles have a neighbour or a wall within the connectivity radius [N] bool."""
         radius = self.config.connectivity_radius
-        lower, upper = static.lower[static.batch], static.upper[static.batch]
+        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
         contact = ((position - lower < radius) | (upper - position < radius)).any(dim=1)
-        contact[edge_index[1]] = True
-        return contact
+        sender, receiver = edge_index
+        met = contact.new_zeros(len(contact) + 1)
+        met.index_fill_(0, torch.where(sender == receiver, len(contact), receiver), True)  # a node itself is padding
+        return contact | met[:-1]
 
     def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:
         """Return the normalised a − g that carries `history` to `next_position` in one step [N, D].
@@ -221,7 +223,7 @@ class Simulator(nn.Module):
         """
         second_difference = next_position - 2 * history[:, -1] + history[:, -2]
         acceleration = second_difference / self.config.dt**2
-        return (acceleration - static.gravity[static.batch]) / self.acceleration_scale
+        return (acceleration - static.of_particles(static.gravity)) / self.acceleration_scale
 
     def integrate(self, history: Tensor, normalised: Tensor, static: Static) -> Tensor:
         """Return the next position by semi-implicit Euler: v' = v + a Δt, x' = x + v' Δt [N, D] [m].
@@ -235,10 +237,10 @@ class Simulator(nn.Module):
             normalised: (a − g) / `acceleration_scale` [N, D].
             static: the scenes.
         """
-        acceleration = normalised * self.acceleration_scale + static.gravity[static.batch]
+        acceleration = normalised * self.acceleration_scale + static.of_particles(static.gravity)
         velocity = (history[:, -1] - history[:, -2]) / self.config.dt + acceleration * self.config.dt
         step = velocity * self.config.dt
-        lower, upper = static.lower[static.batch], static.upper[static.batch]
+        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
         position = torch.clamp(history[:, -1] + step, lower, upper)
         position = torch.where(step.abs() > upper - lower, torch.nan, position)
         return torch.where(static.moved[:, None], position, history[:, -1])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gns_pl.graph.context import context_fields
+from gns_pl.graph.context import ContextGrid, context_fields
 
 
 def layer(dim: int, height: float, spacing: float) -> torch.Tensor:
@@ -23,7 +23,11 @@ def test_a_layer_has_the_depth_below_its_surface(dim: int) -> None:
     corners = torch.zeros(1, dim).double(), torch.ones(1, dim).double()
     batch = torch.zeros(len(position), dtype=torch.int64)
     thickness, _, empty, _ = context_fields(
-        position, still(position), *corners, batch, cell=0.1, volume=torch.full((len(position),), 0.05**dim).double()
+        position,
+        still(position),
+        ContextGrid.of(*corners, 0.1),
+        batch,
+        volume=torch.full((len(position),), 0.05**dim).double(),
     )
     inside = ((position[:, :-1] > 0.15) & (position[:, :-1] < 0.85)).all(dim=1) & (position[:, -1] < 0.45)
     depth = 0.6 - position[:, -1]
@@ -39,9 +43,8 @@ def test_total_is_conserved_and_boxes_are_apart() -> None:
     thickness, *_ = context_fields(
         position,
         still(position),
-        *corners,
+        ContextGrid.of(*corners, 0.1),
         torch.tensor([0, 0, 1]),
-        cell=0.1,
         volume=torch.full((len(position),), 1e-3),
     )
     assert thickness[0] > thickness[2] > 0
@@ -56,7 +59,9 @@ def test_it_is_continuous_where_particles_cross_cells() -> None:
     for shift in (-1e-5, 1e-5):
         moved = base.clone()
         moved[:, 0] += 0.05 + shift  # lattice points at multiples of the cell
-        values += context_fields(moved, moved.flip(0), *corners, batch, cell=0.1, volume=torch.full((len(base),), 1e-3))
+        values += context_fields(
+            moved, moved.flip(0), ContextGrid.of(*corners, 0.1), batch, volume=torch.full((len(base),), 1e-3)
+        )
     for before, after, tolerance in zip(values[:4], values[4:], (1e-4, 1e-4, 1e-4, 1e-3), strict=True):
         torch.testing.assert_close(before, after, atol=tolerance, rtol=0)
 
@@ -67,9 +72,8 @@ def test_particles_outside_the_box_are_taken_to_its_edge() -> None:
     thickness, *_ = context_fields(
         position,
         still(position),
-        *corners,
+        ContextGrid.of(*corners, 0.1),
         torch.zeros(2, dtype=torch.int64),
-        cell=0.1,
         volume=torch.full((len(position),), 1e-3),
     )
     assert torch.isfinite(thickness).all()
@@ -83,11 +87,11 @@ def test_a_sound_layer_has_solid_fraction_one_up_to_the_walls(dim: int, cell: fl
     corners = torch.zeros(1, dim).double(), torch.ones(1, dim).double()
     batch = torch.zeros(len(position), dtype=torch.int64)
     volume = torch.full((len(position),), (0.02 if dim == 2 else 0.04) ** dim).double()
-    *_, fraction = context_fields(position, still(position), *corners, batch, cell=cell, volume=volume)
+    *_, fraction = context_fields(position, still(position), ContextGrid.of(*corners, cell), batch, volume=volume)
     below = position[:, -1] < 0.45
     assert (fraction[below] - 1).abs().max() < 0.2 and fraction[below].mean() == pytest.approx(1, abs=0.03)
     squeezed = position * torch.tensor([*[1.0] * (dim - 1), 0.9])
-    *_, denser = context_fields(squeezed, still(squeezed), *corners, batch, cell=cell, volume=volume)
+    *_, denser = context_fields(squeezed, still(squeezed), ContextGrid.of(*corners, cell), batch, volume=volume)
     assert float(denser[below].mean() / fraction[below].mean()) == pytest.approx(1 / 0.9, rel=0.03)
 
 
@@ -98,7 +102,9 @@ def test_a_lifted_body_has_the_gap_below_it(gap: float) -> None:
     corners = torch.zeros(1, 3).double(), torch.ones(1, 3).double()
     batch = torch.zeros(len(position), dtype=torch.int64)
     volume = torch.full((len(position),), 0.05**3).double()
-    thickness, _, empty, _ = context_fields(position, still(position), *corners, batch, cell=0.1, volume=volume)
+    thickness, _, empty, _ = context_fields(
+        position, still(position), ContextGrid.of(*corners, 0.1), batch, volume=volume
+    )
     inside = (position[:, -1] > gap + 0.1) & (position[:, -1] < gap + 0.3)
     assert (empty[inside] - gap).abs().max() < 0.02
     assert (thickness[inside] - (0.4 + gap - position[inside, -1])).abs().max() < 0.02
@@ -112,10 +118,10 @@ def test_momentum_above_is_that_of_what_lies_above(dim: int) -> None:
     batch, volume = torch.zeros(len(position), dtype=torch.int64), torch.full((len(position),), 0.05**dim).double()
     wind = torch.arange(1.0, dim + 1).double()
     thickness, momentum, *_ = context_fields(
-        position, wind.expand_as(position), *corners, batch, cell=0.1, volume=volume
+        position, wind.expand_as(position), ContextGrid.of(*corners, 0.1), batch, volume=volume
     )
     torch.testing.assert_close(momentum, thickness[:, None] * wind)
     fast = wind * (position[:, -1:] > 0.4)
-    _, momentum, *_ = context_fields(position, fast, *corners, batch, cell=0.1, volume=volume)
+    _, momentum, *_ = context_fields(position, fast, ContextGrid.of(*corners, 0.1), batch, volume=volume)
     inside = ((position[:, :-1] > 0.15) & (position[:, :-1] < 0.85)).all(dim=1) & (position[:, -1] < 0.25)
     torch.testing.assert_close(momentum[inside], (0.2 * wind).expand_as(momentum[inside]), atol=0.01 * dim, rtol=0)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+import gns_pl.rollout.acceleration
 from gns_pl.errors import InputError
-from gns_pl.rollout import rollout
+from gns_pl.rollout import Run, rollout, static_of
 from gns_pl.rollout.acceleration import InPrecision, Padded, accelerate
+from gns_pl.rollout.engine import history_of
 from gns_pl.scene import Scene
 from tests.conftest import make_simulator, make_start
 
@@ -56,18 +58,44 @@ def test_compiled_networks_agree(column: Scene) -> None:
     np.testing.assert_allclose(rollout(accelerate(simulator, compiled=True), start, 5).position, plain, atol=1e-5)
 
 
+ON_GPU: list[tuple[dict[str, Any], float]] = [
+    ({"skin": 0.3}, 1e-5),
+    ({"skin": 0.3, "compiled": True}, 1e-5),
+    ({"skin": 0.3, "precision": "bfloat16"}, 2e-3),
+    ({"captured": True}, 1e-5),
+    ({"captured": True, "precision": "tf32"}, 2e-4),
+    ({"captured": True, "precision": "bfloat16"}, 2e-3),
+]
+
+
 @pytest.mark.gpu
-@pytest.mark.parametrize(
-    ("settings", "tolerance"), [({}, 1e-5), ({"compiled": True}, 1e-5), ({"precision": "bfloat16"}, 2e-3)]
-)
+@pytest.mark.parametrize(("settings", "tolerance"), ON_GPU)
 def test_on_a_gpu_as_on_the_cpu(settings: dict[str, Any], tolerance: float, column: Scene) -> None:
-    simulator, start = make_simulator(output="gated"), make_start(column)
+    simulator, start = make_simulator(output="gated", context=True, latent_size=32), make_start(column)
     plain = rollout(simulator, start, 5).position
-    fast = rollout(accelerate(simulator.cuda(), skin=0.3, **settings), start, 5).position
+    fast = rollout(accelerate(simulator.cuda(), **settings), start, 5).position
     np.testing.assert_allclose(fast, plain, atol=tolerance)
 
 
-@pytest.mark.parametrize("settings", [{"skin": -0.1}, {"precision": "float16"}])
+@pytest.mark.gpu
+def test_a_captured_step_makes_room_for_more_edges(column: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gns_pl.rollout.acceleration, "EDGE_BUDGET", 1)
+    simulator, start = make_simulator(latent_size=32).cuda(), make_start(column)
+    captured = accelerate(simulator, captured=True)
+    history, static = history_of(Run(start, 1), simulator.config).cuda(), static_of(start).to("cuda")
+    with torch.inference_mode():
+        for squeeze in (1.0, 0.6, 1.0):
+            np.testing.assert_allclose(
+                captured(history * squeeze, static).cpu(), simulator(history * squeeze, static).cpu(), atol=1e-6
+            )
+
+
+def test_capturing_needs_a_gpu() -> None:
+    with pytest.raises(InputError, match="needs a GPU"):
+        accelerate(make_simulator(), captured=True)
+
+
+@pytest.mark.parametrize("settings", [{"skin": -0.1}, {"precision": "float16"}, {"captured": True, "skin": 0.1}])
 def test_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="acceleration"):
         accelerate(make_simulator(), **settings)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 
 import torch
 from torch import Tensor
 
 from gns_pl.fields import ParticleType
-from gns_pl.graph.context import context_fields
+from gns_pl.graph.context import ContextGrid, context_fields
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Static:
     upper: Tensor
     gravity: Tensor
     batch: Tensor
+    _grids: dict[float, ContextGrid] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def num_graphs(self) -> int:
@@ -45,7 +46,26 @@ class Static:
 
     def to(self, device: torch.device | str) -> Static:
         """Return the same on another device."""
-        return Static(**{name: value.to(device) for name, value in vars(self).items()})
+        return Static(**{each.name: getattr(self, each.name).to(device) for each in fields(self) if each.init})
+
+    def of_particles(self, value: Tensor) -> Tensor:
+        """Return what holds for every particle's scene [N, …], of one scene [1, …] (broadcast: N copies cost time).
+
+        Args:
+            value: one row per scene [B, …].
+        """
+        return value if self.num_graphs == 1 else value[self.batch]
+
+    def grid(self, cell: float) -> ContextGrid:
+        """Return the grid of the context, made once.
+
+        Args:
+            cell: edge of its cells [m].
+        """
+        if cell not in self._grids:
+            with torch.inference_mode(False), torch.no_grad():  # so that a later step may have gradients
+                self._grids[cell] = ContextGrid.of(self.lower, self.upper, cell)
+        return self._grids[cell]
 
 
 REACH = 4.0
@@ -93,13 +113,13 @@ def node_features(
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
     """
-    to_lower = position - static.lower[static.batch]
-    to_upper = static.upper[static.batch] - position
+    to_lower = position - static.of_particles(static.lower)
+    to_upper = static.of_particles(static.upper) - position
     walls = torch.cat([to_lower, to_upper], dim=1) / radius
     parts = [(velocity / velocity_scale).flatten(1), walls.clamp(-1, 1)]
     if context:
         thickness, momentum, empty, fraction = context_fields(
-            position, velocity[:, -1], static.lower, static.upper, static.batch, cell=radius, volume=static.volume
+            position, velocity[:, -1], static.grid(radius), static.batch, volume=static.volume
         )
         floor = (to_lower[:, -1] / (REACH * radius)).clamp(-1, 1)
         empty = (empty / radius).clamp(-EMPTY, EMPTY)
@@ -109,8 +129,8 @@ def node_features(
         parts.append(torch.stack([floor, thickness / (REACH * radius), empty, 2 * fraction], dim=1))
         parts.append(momentum / (REACH * radius * velocity_scale))
     if len(particle_types) > 1:
-        known = torch.tensor(particle_types, device=position.device)
-        parts.append((static.particle_type[:, None] == known).to(position.dtype))
+        known = [static.particle_type == each for each in particle_types]
+        parts.append(torch.stack(known, dim=1).to(position.dtype))
     used = material_scale.shape[1]
     if used:
         parts.append((static.material[:, :used] - material_scale[0]) / material_scale[1])

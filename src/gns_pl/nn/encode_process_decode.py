@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 from collections.abc import Callable
 from typing import cast
 
@@ -12,6 +14,9 @@ from gns_pl.nn.blocks import process_in_blocks
 from gns_pl.nn.interaction_network import InteractionNetwork
 from gns_pl.nn.mlp import mlp
 from gns_pl.nn.sorted_edges import SortedEdges
+
+FUSED_WIDTHS = (16, 32, 64, 128)
+"""Latent sizes for which a block of edges fits into a GPU's registers."""
 
 
 class EncodeProcessDecode(nn.Module):
@@ -29,8 +34,8 @@ class EncodeProcessDecode(nn.Module):
             before has updated.
 
     Attributes:
-        compiled_edges: use the compiled loops of `nn.edges` where they can be used: float32 on the CPU, edges sorted
-            by receiver.
+        compiled_edges: use the compiled loops of `nn.edges` where they can be used, float32 on the CPU, and the kernels
+            of `nn.fused` on a GPU without gradients; edges sorted by receiver.
         exchange: called with the node states [N, L] after every interaction network but the last; it may overwrite
             rows, as those that another process has computed. None where there is nobody to exchange with.
     """
@@ -57,6 +62,8 @@ class EncodeProcessDecode(nn.Module):
         self.static_edges = static_edges
         self.compiled_edges = True
         self.exchange: Callable[[Tensor], None] | None = None
+        self._fused_key: tuple[object, ...] = ()
+        self._fused_network: Callable[[Tensor, Tensor, Tensor], Tensor]
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
         """Return the decoded nodes [N, output_width].
@@ -66,6 +73,8 @@ class EncodeProcessDecode(nn.Module):
             edge: edge features [E, F'].
             edge_index: [2, E], sender and receiver.
         """
+        if node.device.type == "cuda" and not torch.is_grad_enabled() and self._fuses(node, edge_index):
+            return self._fused()(node, edge, edge_index)
         able = self.compiled_edges and node.device.type == "cpu" and node.dtype == torch.float32
         able = able and not torch.is_autocast_enabled("cpu")
         sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
@@ -79,3 +88,31 @@ class EncodeProcessDecode(nn.Module):
             if self.exchange is not None and layer is not self.processor[-1]:
                 self.exchange(node)
         return cast(Tensor, self.decoder(node))
+
+    def _fuses(self, node: Tensor, edge_index: Tensor) -> bool:
+        """Return whether the kernels of `nn.fused` can make this pass."""
+        width = cast(nn.Linear, self.decoder[0]).in_features
+        able = self.compiled_edges and self.exchange is None and node.dtype == torch.float32
+        if not (able and width in FUSED_WIDTHS and edge_index.shape[1] and _has_triton()):
+            return False
+        if torch.cuda.is_current_stream_capturing():
+            return True  # whoever captures knows that they are sorted, and looking would wait
+        return not bool((edge_index[1, 1:] < edge_index[1, :-1]).any())
+
+    def _fused(self) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+        """Return the forward pass in kernels, for the weights as they are and torch's precision of products."""
+        from gns_pl.nn.fused import FusedNetwork
+
+        precision = "float32" if torch.get_float32_matmul_precision() == "highest" else "tf32"
+        if torch.is_autocast_enabled("cuda"):
+            precision = "bfloat16"
+        weights = ((each.data_ptr(), 0 if each.is_inference() else each._version) for each in self.parameters())
+        key = (id(self), precision, *weights)
+        if key != self._fused_key:
+            self._fused_key, self._fused_network = key, FusedNetwork(self, precision)
+        return self._fused_network
+
+
+@functools.cache
+def _has_triton() -> bool:
+    return importlib.util.find_spec("triton") is not None

@@ -6,14 +6,17 @@ Positions, their differences and the integration stay in float32 whatever the ne
 from __future__ import annotations
 
 import copy
+import importlib.util
+import math
 from typing import cast
 
 import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import NeighbourList
+from gns_pl.graph import NeighbourList, Static
 from gns_pl.nn import EncodeProcessDecode
+from gns_pl.nn.encode_process_decode import FUSED_WIDTHS
 from gns_pl.simulator import Simulator
 
 PRECISIONS = ("float32", "tf32", "bfloat16")
@@ -22,8 +25,17 @@ EDGE_BUDGET = 8192
 """A compiled network sees numbers of edges that are multiples of this, so that it is compiled for few of them."""
 
 
+ROOM = 1.2
+"""A captured step has room for so many times the edges that there were when it was captured."""
+
+
 def accelerate(
-    simulator: Simulator, *, skin: float = 0.0, precision: str = "float32", compiled: bool = False
+    simulator: Simulator,
+    *,
+    skin: float = 0.0,
+    precision: str = "float32",
+    compiled: bool = False,
+    captured: bool = False,
 ) -> Simulator:
     """Return a simulator with the same weights that makes the same steps in another way.
 
@@ -33,14 +45,21 @@ def accelerate(
         precision: of the network's products; for GPUs. "bfloat16" changes accelerations by up to 4 % of their root
             mean square, "tf32" by less.
         compiled: by `torch.compile`, on CUDA with its graphs; the first steps take up to minutes.
+        captured: whole steps become a CUDA graph, neighbours included, which a GPU makes without waiting for the CPU.
 
     Raises:
-        InputError: a negative skin, or an unknown precision.
+        InputError: a negative skin, an unknown precision, or what does not go together.
     """
     if not skin >= 0:
         raise InputError(f"acceleration.skin must be 0 or more connectivity radii, not {skin}.")
     if precision not in PRECISIONS:
         raise InputError(f"acceleration.precision must be one of {', '.join(PRECISIONS)}, not {precision!r}.")
+    if captured and (skin or compiled):
+        raise InputError("acceleration.captured stands alone: with skin=0 and compiled=false.")
+    if captured and not can_capture(simulator):
+        raise InputError(
+            f"acceleration.captured needs a GPU with Triton, and a latent_size of {', '.join(map(str, FUSED_WIDTHS))}."
+        )
     fast = copy.copy(simulator)
     fast._modules = dict(simulator._modules)  # else it would share the table of modules, and the other's network change
     if skin:
@@ -51,7 +70,72 @@ def accelerate(
     if precision != "float32":
         network = InPrecision(network, precision)
     fast._modules["network"] = network
+    if captured:
+        fast.forward = CapturedStep(fast)  # type: ignore[method-assign]
     return fast
+
+
+def can_capture(simulator: Simulator) -> bool:
+    """Return whether steps of a simulator can become CUDA graphs."""
+    on_gpu = simulator.velocity_scale.device.type == "cuda" and importlib.util.find_spec("triton") is not None
+    return on_gpu and simulator.config.latent_size in FUSED_WIDTHS
+
+
+class CapturedStep:
+    """Steps of a simulator as a CUDA graph: some hundred kernels for one start.
+
+    The graph holds for a number of particles and for the scenes; of the edges it holds as many as there is room for. A
+    step that has more is thrown away and made again with more room.
+
+    Args:
+        simulator: whose steps these are, on a GPU; without gradients.
+
+    Attributes:
+        normalised: of the latest step, the network's (a − g) / `acceleration_scale` [N, D].
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        from gns_pl.graph.bounded import BoundedSearch
+
+        self.simulator = copy.copy(simulator)
+        self.simulator.search = self._search = BoundedSearch(0)
+        self.normalised = torch.empty(0)
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._static: Static | None = None
+        self._history = self._position = torch.empty(0)
+
+    def __call__(self, history: Tensor, static: Static) -> Tensor:
+        """Return the positions one step later; arguments as those of the simulator."""
+        if self._graph is None or self._static is not static or self._history.shape != history.shape:
+            self._capture(history, static)
+        while True:
+            self._history.copy_(history)
+            cast(torch.cuda.CUDAGraph, self._graph).replay()
+            if int(self._search.wanted) <= self._search.capacity:
+                return self._position.clone()
+            self._capture(history, static)
+
+    def _capture(self, history: Tensor, static: Static) -> None:
+        self._graph = None  # its memory goes back first
+        config = self.simulator.config
+        self._search(history[:, -1], config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
+        self._search.capacity = EDGE_BUDGET * math.ceil(ROOM * int(self._search.wanted) / EDGE_BUDGET + 1)
+        self._history, self._static = history.clone(), static
+        stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            for _ in range(2):  # what is compiled or set up at a first call must not be captured
+                self._step()
+        torch.cuda.current_stream().wait_stream(stream)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self._step()
+        self._graph = graph
+
+    def _step(self) -> None:
+        static = cast(Static, self._static)
+        self.normalised = self.simulator.normalised_acceleration(self._history, static)
+        self._position = self.simulator.integrate(self._history, self.normalised, static)
 
 
 def _compile(network: nn.Module) -> nn.Module:
