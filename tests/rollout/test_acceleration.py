@@ -90,6 +90,20 @@ def test_a_captured_step_makes_room_for_more_edges(column: Scene, monkeypatch: p
             )
 
 
+@pytest.mark.gpu
+def test_captured_steps_stay_apart(column: Scene) -> None:
+    simulator, start = make_simulator(latent_size=32).cuda(), make_start(column)
+    fast = [accelerate(simulator, captured=True, precision=each) for each in ("float32", "bfloat16", "tf32")]
+    history, static = history_of(Run(start, 1), simulator.config).cuda(), static_of(start).to("cuda")
+    with torch.inference_mode():
+        first = [each(history, static) for each in fast]
+        kept = [torch.randn(1000, 1000, device="cuda") for _ in range(50)]  # takes what has been freed
+        for _ in range(5):
+            for one, expected in zip(fast, first, strict=True):
+                assert torch.equal(one(history, static), expected)
+    assert kept
+
+
 def test_capturing_needs_a_gpu() -> None:
     with pytest.raises(InputError, match="needs a GPU"):
         accelerate(make_simulator(), captured=True)

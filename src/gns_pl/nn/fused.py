@@ -99,10 +99,12 @@ def _pass_messages(  # type: ignore[no-untyped-def]
         hoisted = _matrix(first, WIDTH)
         deeper = ()
         for layer in tl.static_range(DEEPER):
-            deeper = deeper + (_matrix(weights + layer * PARTS * WIDTH * WIDTH, WIDTH),)  # noqa: RUF005
+            deeper = deeper + (_matrix(weights + layer * PARTS * WIDTH * WIDTH, WIDTH),)  # type: ignore[assignment]  # noqa: RUF005
     blocks = tl.cdiv(tl.load(first_group + number), GROUPS)
     for block in tl.range(tl.program_id(0), blocks, programs, num_stages=STAGES):
-        group, place = block * GROUPS + tl.arange(0, GROUPS), block * BLOCK + tl.arange(0, BLOCK)
+        # E × L is more than 2³¹ from 17 million edges on.
+        group = (block * GROUPS + tl.arange(0, GROUPS)).to(tl.int64)
+        place = (block * BLOCK + tl.arange(0, BLOCK)).to(tl.int64)
         at = place[:, None] * WIDTH + column[None, :]
         source, target = tl.load(sender + place), tl.load(receiver + group)
         full = source >= 0
@@ -156,7 +158,7 @@ def _update_nodes(  # type: ignore[no-untyped-def]
     begin = tl.load(first_group + row, mask=there, other=0)
     end = tl.load(first_group + row + 1, mask=there, other=0)
     received = tl.zeros((BLOCK, WIDTH), tl.float32)
-    group, most = begin, tl.max(end - begin, axis=0)
+    group, most = begin.to(tl.int64), tl.max(end - begin, axis=0)
     while most > 0:
         received += tl.load(summed + group[:, None] * WIDTH + column[None, :], mask=(group < end)[:, None], other=0.0)
         group += 1
@@ -262,7 +264,8 @@ class FusedNetwork:
         norm = next(each for each in part.children() if isinstance(each, nn.LayerNorm))
         width = linears[0].out_features
         whole = linears[0].in_features % width == 0  # else the few edge features, multiplied in float32
-        weights, biases = [each.weight for each in linears[1:]], [each.bias for each in linears]
+        weights: list[Tensor] = [each.weight for each in linears[1:]]
+        biases: list[Tensor] = [each.bias for each in linears]
         # The norm's subtraction of the mean, done once, in the weights of the layer before it.
         weights[-1], biases[-1] = weights[-1] - weights[-1].mean(dim=0), biases[-1] - biases[-1].mean()
         return {

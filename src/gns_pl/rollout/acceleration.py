@@ -65,6 +65,8 @@ def accelerate(
     if skin:
         fast.search = NeighbourList(skin)
     network = cast(nn.Module, simulator.network)
+    if captured:
+        network = copy.copy(network)  # its kernels' weights, which the graph points at, are then nobody else's
     if compiled:
         network = Padded(_compile(network), EDGE_BUDGET)
     if precision != "float32":
