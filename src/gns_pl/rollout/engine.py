@@ -18,6 +18,7 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
+from gns_pl.rollout.rest import Rest
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, ballistic_history
 
@@ -88,7 +89,11 @@ def check_run(run: Run, config: SimulatorConfig) -> None:
 
 
 def unroll(
-    simulator: Simulator, runs: Sequence[Run], step: Callable[[Tensor, Static], Tensor] | None = None
+    simulator: Simulator,
+    runs: Sequence[Run],
+    step: Callable[[Tensor, Static], Tensor] | None = None,
+    *,
+    rest: Rest | None = None,
 ) -> Iterator[dict[int, Tensor]]:
     """Step scenes together, on the device the simulator's weights are on, until each has made its steps.
 
@@ -98,6 +103,7 @@ def unroll(
         simulator: makes one step.
         runs: the scenes.
         step: what makes the steps in the simulator's place, with the same arguments and result.
+        rest: by which scenes end that have come to rest; None makes all their steps.
 
     Yields:
         After every step, number of the scene → its positions [N, D] [m], of those that made it and are finite.
@@ -124,6 +130,7 @@ def unroll(
             if len(scripted):
                 frames = [runs[number].start.position[runs[number].made + count] for number in active]
                 position = position.index_put((scripted,), _tensor(frames, device)[scripted])
+            before = torch.split(history[:, -1], lengths)
             history = torch.cat([history[:, 1:], position[:, None]], dim=1)
             parts = dict(zip(active, torch.split(position, lengths), strict=True))
             finite = parts
@@ -131,6 +138,10 @@ def unroll(
                 finite = {number: part for number, part in parts.items() if bool(torch.isfinite(part).all())}
             yield finite
             going = [number for number in finite if runs[number].num_steps > count]
+            if rest is not None:
+                last = dict(zip(active, before, strict=True))
+                dt = simulator.config.dt
+                going = [number for number in going if not rest.reached(number, last[number], finite[number], dt)]
         histories = dict(zip(active, torch.split(history, lengths), strict=True))
         active = going
 
@@ -145,6 +156,7 @@ def rollout(
     num_steps: int,
     *,
     step: Callable[[Tensor, Static], Tensor] | None = None,
+    rest: Rest | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
     """Unroll `simulator` from the first frame of `start`, on the device its weights are on.
@@ -157,26 +169,30 @@ def rollout(
             particles, whose script they are.
         num_steps: frames to add.
         step: what makes the steps in the simulator's place, as of `acceleration`.
+        rest: by which the loop ends early when the scene has come to rest.
         on_step: called with the number of steps made and `num_steps`.
 
     Returns:
         Up to `num_steps` + 1 frames at the simulator's time step; `provenance["wall_seconds"]` is the time of the loop,
-        `provenance["failed_at"]` [s] is there if it ended early.
+        `provenance["failed_at"]` [s] is there if it ended early, `provenance["at_rest_from"]` if at rest.
 
     Raises:
         InputError: a start that does not fit the simulator.
     """
-    frames = [start.position[0].astype(np.float32)]
+    frames, finite = [start.position[0].astype(np.float32)], True
     began = time.perf_counter()
     with torch.inference_mode():
-        for parts in unroll(simulator, [Run(start, num_steps)], step):
-            if 0 in parts:
+        for parts in unroll(simulator, [Run(start, num_steps)], step, rest=rest):
+            finite = 0 in parts
+            if finite:
                 frames.append(parts[0].cpu().numpy())
                 if on_step is not None:
                     on_step(len(frames) - 1, num_steps)
     provenance: dict[str, object] = {"solver": "gns_pl.rollout"}
-    if len(frames) <= num_steps:
+    if not finite:
         provenance["failed_at"] = len(frames) * simulator.config.dt
+    elif len(frames) <= num_steps:
+        provenance["at_rest_from"] = (len(frames) - 1) * simulator.config.dt
     provenance["wall_seconds"] = time.perf_counter() - began
     provenance["device"] = str(simulator.velocity_scale.device)
     provenance["num_threads"] = torch.get_num_threads()

@@ -1,0 +1,100 @@
+"""Sleeping particles and scenes at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from gns_pl.errors import InputError
+from gns_pl.rollout import Run, rollout, unroll
+from gns_pl.rollout.engine import history_of, static_of
+from gns_pl.rollout.rest import STEPS, Rest, SleepingStep
+from gns_pl.scene import FACES, Scene, Wall, column_collapse
+from gns_pl.simulator import Simulator
+from tests.conftest import SAND, make_simulator, make_start
+
+
+def long_column() -> Scene:
+    """A low column along a whole long box, of which one end can be set in motion."""
+    walls = dict.fromkeys(FACES[3], Wall("slip"))
+    return column_collapse(
+        domain=(3, 0.2, 0.5), length=2.9, height=0.2, gravity=9.81, duration=1, material=SAND, walls=walls
+    )
+
+
+def test_nobody_sleeps_at_once_and_while_all_move_the_steps_are_the_same(column: Scene) -> None:
+    simulator, start = make_simulator(output="gated", context=True), make_start(column)
+    plain = rollout(simulator, start, 8).position
+    sleeping = SleepingStep(simulator, speed=1e-9)
+    np.testing.assert_array_equal(rollout(simulator, start, 8, step=sleeping).position, plain)
+    assert bool(sleeping.awake.all())
+
+
+@torch.inference_mode()
+def with_sleepers(simulator: Simulator, halo: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A step's positions in full and with sleepers, and who is awake: one end moves, the rest has long been still."""
+    start = make_start(long_column())
+    history, static = history_of(Run(start, 1), simulator.config), static_of(start)
+    step = SleepingStep(simulator, speed=0.01, halo=halo)
+    moving = history[:, -1, 0] > 2.5
+    history[moving, :-1, 0] -= 0.01
+    for _ in range(STEPS + 1):
+        position = step(history, static)
+    return simulator(history, static), position, step.awake
+
+
+def test_what_is_awake_moves_as_in_the_full_step_within_a_whole_halo() -> None:
+    simulator = make_simulator(num_message_passing_steps=2)
+    full, position, awake = with_sleepers(simulator, halo=2)
+    assert 0.1 < awake.float().mean() < 0.5
+    torch.testing.assert_close(position[awake], full[awake], atol=1e-6, rtol=0)
+    full, position, awake = with_sleepers(simulator, halo=0)
+    assert not torch.allclose(position[awake], full[awake], atol=1e-6, rtol=0)
+
+
+def test_sleepers_stay_where_they_are_and_wake_by_contact() -> None:
+    simulator, start = make_simulator(), make_start(long_column())
+    history, static = history_of(Run(start, 1), simulator.config), static_of(start)
+    step = SleepingStep(simulator, speed=0.01)
+    with torch.inference_mode():
+        for _ in range(STEPS):
+            position = step(history, static)
+        assert not bool(step.awake.any())
+        assert torch.equal(position, history[:, -1])
+        pushed = history.clone()
+        pushed[0, :-1, 0] -= 0.01
+        step(pushed, static)
+    near = (history[:, -1] - history[0, -1]).norm(dim=1) < simulator.config.connectivity_radius
+    assert torch.equal(step.awake, near)
+
+
+def test_a_scene_at_rest_is_recognised_after_some_steps() -> None:
+    rest, place = Rest(speed=0.01), torch.zeros(10, 3)
+    assert [rest.reached(0, place, place, 0.1) for _ in range(STEPS)] == [False] * (STEPS - 1) + [True]
+    moved = place.clone()
+    moved[0] = 0.1
+    assert not rest.reached(0, place, moved, 0.1)
+    mostly = Rest(speed=0.01, share=0.9)
+    assert [mostly.reached(1, place, moved, 0.1) for _ in range(STEPS)][-1]
+    with pytest.raises(InputError, match="must be positive"):
+        Rest(speed=0)
+
+
+def test_a_run_ends_where_its_scene_rests(drop: Scene, column: Scene) -> None:
+    """A step that moves the first scene for three steps: it rests `STEPS` later, the other goes on."""
+    simulator = make_simulator()
+    starts = [make_start(drop), make_start(column)]
+    number, count = starts[0].num_particles, 0
+
+    def step(history: torch.Tensor, static: object) -> torch.Tensor:
+        nonlocal count
+        count += 1
+        moved = history[:, -1].clone()
+        moved[: number if count <= 3 else 0] += 0.01
+        moved[number if len(moved) > number else 0 :] += 0.001 * count
+        return moved
+
+    made = list(unroll(simulator, [Run(start, 12) for start in starts], step, rest=Rest(speed=0.01)))
+    assert [0 in parts for parts in made] == [True] * (3 + STEPS) + [False] * (9 - STEPS)
+    assert all(1 in parts for parts in made)
