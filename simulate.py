@@ -1,4 +1,7 @@
-"""python simulate.py ckpt=FILE scene=FILE.yaml [key=value …]: run scenes in a learned simulator, frames into HDF5."""
+"""python simulate.py [ckpt=FILE] scene=FILE.yaml|NAME [key=value …]: run scenes, frames into HDF5."""
+
+import re
+import sys
 
 import hydra
 from omegaconf import DictConfig
@@ -15,5 +18,12 @@ def main(cfg: DictConfig) -> None:
         simulate_config(cfg)
 
 
+def of_catalogue(arguments: list[str]) -> list[str]:
+    """Return the arguments with scene.KEY=… where Hydra finds it: at the scene's place in the catalogue."""
+    name = next((each.partition("=")[2] for each in arguments if each.startswith("scene=")), "")
+    return [re.sub(r"^scene\.", f"catalogue.{name}.", each) for each in arguments]
+
+
 if __name__ == "__main__":
+    sys.argv[1:] = of_catalogue(sys.argv[1:])
     main()

@@ -392,7 +392,7 @@ def draw(table: Path) -> Path:
 
     with table.open() as file:
         rows = list(csv.DictReader(file))
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained")
     series: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
     for row in rows:
         key = (row["network"], row["threads"], row["variant"])
@@ -408,7 +408,7 @@ def draw(table: Path) -> Path:
         axes[0].loglog(number, step, "o", markersize=4, label=label, **style)
         axes[1].semilogx(number, share, "o", markersize=4, **style)
     axes[0].set(xlabel="particles", ylabel="ms a step")
-    axes[0].legend(fontsize=7, ncols=2)
+    figure.legend(fontsize=7, ncols=4, loc="outside lower center")
     axes[1].set(xlabel="particles", ylabel="network's products, % of the rate of a large one", ylim=(0, None))
     for axis in axes:
         axis.grid(alpha=0.3)

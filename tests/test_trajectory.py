@@ -110,3 +110,27 @@ def test_a_particle_of_unknown_density_is_refused(drop: Scene) -> None:
     start.position[0, 0] = 0.9
     with pytest.raises(InputError, match="outside every body"):
         start.volume()
+
+
+def test_resampling_keeps_its_own_frames_and_follows_the_parabola(thrown: Trajectory) -> None:
+    finer = thrown.resampled(thrown.dt / 4)
+    assert finer.num_frames == 25 and finer.dt == thrown.dt / 4
+    np.testing.assert_array_equal(finer.position[::4], thrown.position)
+    time = finer.time[:, None, None]
+    exact = thrown.position[0] + thrown.initial_velocity * time + 0.5 * ACCELERATION * time**2
+    assert np.abs(finer.position - exact).max() < 0.1 * np.abs(np.diff(thrown.position, axis=0)).max()
+    coarser = thrown.resampled(2 * thrown.dt)
+    np.testing.assert_array_equal(coarser.position, thrown.position[::2])
+
+
+def test_resampling_never_overshoots_and_goes_on_at_rest(thrown: Trajectory) -> None:
+    bounced = replace(thrown, position=thrown.position.copy())
+    bounced.position[3:, :, 2] = thrown.position[3, :, 2]  # hits a floor and stays
+    finer = bounced.resampled(0.03, duration=1.2)
+    assert finer.num_frames == 41
+    assert finer.position[..., 2].min() >= bounced.position[..., 2].min()
+    np.testing.assert_array_equal(finer.position[-1], bounced.position[-1])
+    single = replace(thrown, position=thrown.position[:1]).resampled(0.1, 0.3)
+    assert single.num_frames == 4
+    with pytest.raises(InputError, match="interval between frames must be positive"):
+        thrown.resampled(0.0)

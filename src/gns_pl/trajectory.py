@@ -76,6 +76,35 @@ class Trajectory:
         """Return every `stride`-th frame, the first among them, with the time step that goes with it."""
         return self if stride == 1 else replace(self, position=self.position[::stride], dt=self.dt * stride)
 
+    def resampled(self, interval: float, duration: float | None = None) -> Trajectory:
+        """Return frames at another interval, between those there are by monotone cubics, behind the last at rest.
+
+        No coordinate leaves the range of its two frames (Fritsch and Butland 1984), so nothing overshoots a wall.
+
+        Args:
+            interval: time between frames [s].
+            duration: to the last frame, rounded to whole intervals [s]; that of this trajectory if None.
+
+        Raises:
+            InputError: an interval that is not positive.
+        """
+        if not interval > 0:
+            raise InputError(f"trajectory: the interval between frames must be positive, not {interval}.")
+        end = self.dt * (self.num_frames - 1)
+        number = round((end if duration is None else duration) / interval) + 1
+        if self.num_frames == 1:
+            return replace(self, position=np.repeat(self.position, number, axis=0), dt=interval)
+        from scipy.interpolate import PchipInterpolator
+
+        times = np.minimum(np.arange(number) * interval, end)
+        nearest = np.rint(times / self.dt).astype(np.int64)
+        exact = np.abs(times - nearest * self.dt) < 1e-6 * self.dt
+        position = np.empty((number, *self.position.shape[1:]), dtype=np.float32)
+        position[exact] = self.position[nearest[exact]]
+        if not exact.all():
+            position[~exact] = PchipInterpolator(self.time, self.position.astype(np.float64))(times[~exact])
+        return replace(self, position=position, dt=interval)
+
     def volume(self) -> NDArray[np.float32]:
         """Volume that every particle stands for: its mass over the density of the body it starts in [N] [m^D].
 

@@ -87,7 +87,7 @@ class SleepingStep:
 
     def _find(self, *arguments: object, **settings: object) -> Tensor:
         """Search neighbours, and find out who sleeps."""
-        edge_index: Tensor = self._search(*arguments, **settings)  # type: ignore[arg-type]
+        edge_index: Tensor = self._search(*arguments, **settings)
         sender, receiver = edge_index
         felt = self._moving.index_fill(0, receiver[self._moving[sender]], True)
         self._still = torch.where(felt, 0, self._still + 1)

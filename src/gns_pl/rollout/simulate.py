@@ -16,9 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 import gns_pl
-from gns_pl.checkpoint import Checkpoint, load_checkpoint, move
+from gns_pl.checkpoint import load_checkpoint, move
 from gns_pl.errors import InputError
-from gns_pl.generation import chosen_every
 from gns_pl.generation.lock import locked
 from gns_pl.graph import Static
 from gns_pl.io import StorageError, file_sha256, read_window
@@ -29,9 +28,10 @@ from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_
 from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
-from gns_pl.scene import Scene, fill_scene, read_scene
+from gns_pl.rollout.ways import start_of
+from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
 from gns_pl.simulator import Simulator
-from gns_pl.trajectory import Trajectory, start_trajectory
+from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -59,16 +59,45 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
     from omegaconf import OmegaConf
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    ckpt, scenes = settings.pop("ckpt"), settings.pop("scene")
-    if not ckpt or not scenes:
-        raise InputError("which checkpoint and which scene? python simulate.py ckpt=collapse scene=FILE.yaml")
+    ckpt, named, tolerance = (settings.pop(key) for key in ("ckpt", "scene", "tolerance"))
+    catalogue, choice, explain, _ = (settings.pop(key) for key in ("catalogue", "choice", "explain", "paper"))
+    if not named or not (ckpt or tolerance is not None or explain):
+        raise InputError(
+            "which scene, and by which way? python simulate.py scene=column_collapse tolerance=0.05, or ckpt=collapse "
+            "scene=FILE.yaml"
+        )
+    settings["out"] = Path(settings["out"])
+    scenes = [_named_scene(each, catalogue) for each in ([named] if isinstance(named, str) else named)]
+    if not ckpt:
+        from gns_pl.rollout.by_choice import simulate_by_choice
+
+        kept = {key: settings[key] for key in ("out", "duration", "seed")}
+        return simulate_by_choice(scenes, tolerance=tolerance, explain=explain, **choice, **kept)
+    if tolerance is not None or explain:
+        raise InputError("ckpt= names the way already; leave it out, and tolerance=, explain= choose one.")
     checkpoint = find_checkpoint(ckpt)
     if not checkpoint.is_file():
         known = ", ".join(pretrained_names())
         raise InputError(f"{checkpoint}: there is no such checkpoint; those that come with gns_pl are {known}.")
-    files = [scenes] if isinstance(scenes, str) else scenes
-    out = Path(settings.pop("out"))
-    return simulate(checkpoint, [read_scene(Path(file)) for file in files], out=out, **settings)
+    return simulate(checkpoint, scenes, **settings)
+
+
+def _named_scene(name: str, catalogue: Mapping[str, Any]) -> Scene:
+    """Return a scene of the catalogue (conf/simulate.yaml), or of a file."""
+    if name not in catalogue:
+        return read_scene(Path(name))
+    parts = dict(catalogue[name])
+    gravity, height = float(parts["gravity"]), parts["length"] * parts.pop("aspect_ratio")
+    return column_collapse(
+        domain=parts["domain"],
+        length=parts["length"],
+        height=height,
+        gravity=gravity,
+        duration=parts["duration_tau"] * math.sqrt(height / gravity),
+        material=part_from_dict(Material, "material", parts["material"]),
+        walls={face: part_from_dict(Wall, f"wall {face}", wall) for face, wall in parts["walls"].items()},
+        name=name,
+    )
 
 
 def simulate(
@@ -143,22 +172,6 @@ def simulate(
             until = f"until it failed at {job.failed_at:g} s" if job.failed_at is not None else "whole"
             print(f"{job.path}: is there {until}")
     return [job.path for job in jobs]
-
-
-def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mapping[str, object]) -> Trajectory:
-    """Return a scene filled at the spacing of a checkpoint's data, as irregularly as these are, in one frame.
-
-    Args:
-        scene: what to fill.
-        checkpoint: spacing, time step and data.
-        seed: of the placement.
-        provenance: how the trajectory is made.
-    """
-    config, data = checkpoint.simulator.config, checkpoint.data
-    # Of the data every k-th point of a lattice is kept, and moves in its own, k times smaller, cell.
-    jitter = float(data.get("mpm", {}).get("jitter", 0.0)) / chosen_every(data)
-    particles = fill_scene(scene, config.spacing, jitter=jitter, generator=np.random.default_rng(seed))
-    return start_trajectory(scene, particles, config.dt, dict(provenance))
 
 
 def _job(path: Path, start: Trajectory, length: int) -> Job:

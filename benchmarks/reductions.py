@@ -1,0 +1,236 @@
+"""What every reduction costs in accuracy and saves in time: columns by every way, against fine MPM.
+
+    python benchmarks/reductions.py                  # as in docs/reductions.md; the fine runs take minutes and are kept
+    python benchmarks/reductions.py --threads 1 --kinds plane --columns 0.8 2.0
+    python benchmarks/reductions.py --records src/gns_pl/rollout/records.csv   # what simulate.py tolerance=… knows
+
+Columns of a = 0.8, 1.2, 2.0 and 3.0 stand between smooth side walls ("plane", plane strain) and between the paper's
+rough ones ("space"). The reference is MPM on cells of 1/48 m: in three dimensions for a = 0.8 and 2.0, else on the
+slice or half that gives the same. Times are medians of warm runs: neighbours, network, integration and copies are in
+them, compilation and files are not. Errors are relative, the largest of the placements; "curve" is the mean absolute
+difference of the 99 % runout over time, over its final value. "extrapolated" takes the runout, and nothing else,
+linearly in the cell from two MPM runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import numba
+import numpy as np
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from gns_pl.evaluation.curves import compute_curves
+from gns_pl.evaluation.measures import characteristic_time, deposit_profile, particle_spacing
+from gns_pl.generation.reference import reference_trajectory
+from gns_pl.rollout import rollout
+from gns_pl.rollout.by_choice import make_ways
+from gns_pl.rollout.choice import Record
+from gns_pl.rollout.reduction import Reduction, reduce_scene
+from gns_pl.rollout.rest import Rest, SleepingStep
+from gns_pl.rollout.ways import LearnedWay, MPMWay, Way, start_of
+from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict
+from gns_pl.trajectory import Trajectory
+
+COLUMNS = {  # a: L0, H0, box [m]
+    "0.8": (0.475, 0.38, (1.5, 0.5, 0.7)),
+    "1.2": (0.35, 0.42, (2.5, 0.5, 1.1)),
+    "2.0": (0.30, 0.60, (1.5, 0.5, 0.7)),
+    "3.0": (0.25, 0.75, (2.5, 0.5, 1.1)),
+}
+INTERVAL, DURATION = 0.02, 6.0  # s between frames compared; τc
+HEAD = (
+    f"{'way':24} {'N':>7} {'runout':>7} {'error':>8} {'curve':>7} {'height':>8} {'profile':>8} {'s':>8} {'faster':>7}"
+)
+
+
+@dataclass
+class Row(Record):
+    """A record, with what the way gave.
+
+    Attributes:
+        runout: final, 99 % [L0].
+        times_faster: than the reference on as many threads.
+    """
+
+    runout: float
+    times_faster: float
+
+
+def column(name: str, kind: str, paper: dict[str, object]) -> Scene:
+    """Return a column of the paper's sand."""
+    length, height, domain = COLUMNS[name]
+    walls = {face: part_from_dict(Wall, face, wall) for face, wall in paper["walls"].items()}
+    if kind == "plane":
+        walls |= {"y-": Wall("slip"), "y+": Wall("slip")}
+    scene = column_collapse(
+        domain=domain, length=length, height=height, gravity=paper["gravity"], duration=1.0,
+        material=part_from_dict(Material, "material", paper["material"]), walls=walls, name=f"column_{name}",
+    )  # fmt: skip
+    return scene.replace(duration=INTERVAL * np.ceil(DURATION * characteristic_time(scene) / INTERVAL))
+
+
+def errors(made: Trajectory, fine: Trajectory) -> dict[str, float]:
+    """Return the errors of a run against the reference."""
+    ours, theirs = compute_curves(made), compute_curves(fine)
+    runout, wanted = ours["runout_99"], theirs["runout_99"]
+    number = min(len(runout), len(wanted))
+    width = 2 * max(particle_spacing(made), particle_spacing(fine))
+    profiles = [deposit_profile(each.position[-1], each.mass, fine.scene, width)[1] for each in (made, fine)]
+    return {
+        "runout": float(runout[-1]),
+        "runout_error": float(runout[-1] / wanted[-1] - 1),
+        "curve_error": float(np.abs(runout[:number] - wanted[:number]).mean() / wanted[-1]),
+        "height_error": float(ours["mean_height"][-1] / theirs["mean_height"][-1] - 1),
+        "profile_error": float(np.abs(profiles[0] - profiles[1]).sum() / profiles[1].sum()),
+    }
+
+
+class Variant(LearnedWay):
+    """A learned way with sleeping particles."""
+
+    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
+        """Return the trajectory."""
+        less, simulator = self.reduced(scene), self.checkpoint.simulator
+        step = SleepingStep(simulator, self.rest_speed)
+        start = start_of(less.scene, self.checkpoint, seed, {})
+        made = rollout(simulator, start, self.size(scene)[1], step=step, rest=Rest(self.rest_speed))
+        return less.lift(made.resampled(interval, scene.duration))
+
+
+def timed(run: Callable[[], Trajectory], turns: int) -> tuple[Trajectory, float]:
+    """Return the last result and the median time of warm runs; slow ones are warm after what was compiled for them."""
+    began = time.perf_counter()
+    made = run()
+    first = time.perf_counter() - began
+    times = []
+    for _ in range(turns if first < 20 else 1):
+        began = time.perf_counter()
+        made = run()
+        times.append(time.perf_counter() - began)
+    return made, statistics.median(times)
+
+
+def main() -> None:
+    """Measure, print, and write tables if asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--columns", nargs="+", default=list(COLUMNS), choices=list(COLUMNS))
+    parser.add_argument("--kinds", nargs="+", default=["plane", "space"], choices=["plane", "space"])
+    parser.add_argument("--threads", type=int, nargs="+", default=[2])
+    parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--seeds", type=int, default=3, help="placements; errors are of each, the first one's is timed")
+    parser.add_argument("--learned", nargs="+", help="checkpoints; those of conf/simulate.yaml if left out")
+    parser.add_argument(
+        "--rest-speed", type=float, default=0.02, help="of the variants that sleep and end at rest, m/s"
+    )
+    parser.add_argument("--cache", type=Path, default=Path("runs/references"))
+    parser.add_argument("--out", type=Path, help="CSV file of all rows")
+    parser.add_argument("--records", type=Path, help="CSV file of the package's ways alone")
+    args = parser.parse_args()
+    with initialize_config_dir(str(Path(__file__).parents[1] / "conf"), version_base=None):
+        config = OmegaConf.to_container(compose("simulate"), resolve=True)
+    choice, paper = config["choice"], config["paper"]
+    ways = make_ways(args.learned or choice["learned"], choice["cells"], choice["mpm"])
+    own = {way.name for way in ways}
+    learned = [way for way in ways if isinstance(way, LearnedWay)]
+    extra: list[Way] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in learned]
+    extra += [Variant(f"{way.name}+sleep", way.path, args.rest_speed) for way in learned]
+    extra += [replace(way, name=f"{way.name} whole", reduces=False) for way in ways[len(learned) : len(learned) + 3]]
+    device = f"{platform.machine()} CPU"
+    print(f"{device}, torch {torch.__version__}, turns {args.turns}, {args.seeds} placements")
+    rows: list[Row] = []
+    for threads in args.threads:
+        os.sched_setaffinity(0, range(threads))
+        torch.set_num_threads(threads)
+        numba.set_num_threads(threads)
+        for kind in args.kinds:
+            for name in args.columns:
+                scene = column(name, kind, paper)
+                whole = kind == "plane" and name in ("0.8", "2.0")
+                reduced = Reduction(scene, lambda made: made, "") if whole else reduce_scene(scene)
+                settings = {**choice["mpm"], "cell_size": 1 / 48}
+                kept = args.cache / f"threads_{threads}"
+                fine = reference_trajectory(
+                    reduced.scene, settings, frame_interval=INTERVAL, seed=0, cache_directory=kept
+                )
+                reference_seconds = float(fine.provenance["wall_seconds"])
+                fine = reduced.lift(fine)
+                wanted = compute_curves(fine)["runout_99"][-1]
+                print(
+                    f"\n{kind}, a = {name}, {threads} threads: {wanted:.3f} L0 by 1/48 m in {reference_seconds:.1f} s"
+                )
+                print(HEAD)
+                of_cell: dict[float, list[Row]] = {}
+                for way in [*ways, *extra]:
+                    if way.why_not(scene):
+                        continue
+
+                    def run(seed: int, way: Way = way, scene: Scene = scene) -> Trajectory:
+                        return way.run(scene, interval=INTERVAL, seed=seed)
+
+                    made, seconds = timed(lambda run=run: run(0), args.turns)
+                    particles = way.size(scene)[0]
+                    others = [run(seed) for seed in range(1, args.seeds)] if seconds < 20 else []
+                    found = [errors(each, fine) for each in (made, *others)]
+                    worst = {key: max((each[key] for each in found), key=abs) for key in found[0]}
+                    mean = {key: statistics.mean(each[key] for each in found) for key in found[0]}
+                    row = Row(
+                        way=way.name, kind=kind, scene=scene.name, seconds=seconds, work=way.work(scene),
+                        particles=particles, threads=threads, device=device,
+                        times_faster=reference_seconds / seconds, **(worst | {"runout": mean["runout"]}),
+                    )  # fmt: skip
+                    rows.append(row)
+                    if isinstance(way, MPMWay) and "whole" not in way.name:
+                        of_cell[way.cells] = [row]
+                    show(row)
+                for coarse, finer in ((0, 1), (1, 2), (0, 2)):
+                    pair = [of_cell[key][0] for key in sorted(of_cell)]
+                    cells = sorted(of_cell)
+                    a, b, h, k = pair[coarse], pair[finer], 1 / cells[coarse], 1 / cells[finer]
+                    runout = b.runout + (b.runout - a.runout) * k / (h - k)
+                    nothing = float("nan")
+                    row = replace(
+                        b, way=f"extrapolated {cells[coarse]:g} {cells[finer]:g}", runout=runout,
+                        runout_error=runout / wanted - 1, curve_error=nothing, height_error=nothing,
+                        profile_error=nothing, seconds=a.seconds + b.seconds,
+                        times_faster=reference_seconds / (a.seconds + b.seconds),
+                    )  # fmt: skip
+                    rows.append(row)
+                    show(row)
+                if args.out:
+                    write(args.out, rows, Row)
+    if args.records:
+        write(args.records, [row for row in rows if row.way in own], Record)
+
+
+def show(row: Row) -> None:
+    """Print a row."""
+    percent = f"{100 * row.runout_error:+7.1f}% {100 * row.curve_error:6.1f}% {100 * row.height_error:+7.1f}%"
+    print(
+        f"{row.way:24} {row.particles:7} {row.runout:7.3f} {percent} {row.profile_error:8.3f} {row.seconds:8.3f} "
+        f"{row.times_faster:7.1f}",
+        flush=True,
+    )
+
+
+def write(path: Path, rows: list[Row], kind: type) -> None:
+    """Write a table of a kind's fields."""
+    names = [field.name for field in fields(kind)]
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, names, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Scenes in, trajectory files out, by the way that a tolerance asks for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gns_pl
+from gns_pl.errors import InputError
+from gns_pl.io import read_trajectory, write_trajectory
+from gns_pl.pretrained import find_checkpoint
+from gns_pl.rollout.choice import RECORDS, choose, kind_of, read_records, table, weigh
+from gns_pl.rollout.ways import LearnedWay, MPMWay, Way, characteristic_size
+from gns_pl.scene import Scene
+
+
+def make_ways(
+    learned: Sequence[str], cells: Sequence[float], mpm: Mapping[str, Any], rest_speed: float = 0.0
+) -> list[Way]:
+    """Return the ways of a config (conf/simulate.yaml).
+
+    Args:
+        learned: checkpoints.
+        cells: of MPM, over √(L0 H0).
+        mpm: its settings.
+        rest_speed: at which learned runs end [m/s]; 0 for never.
+
+    Raises:
+        InputError: no such checkpoint.
+    """
+    ways: list[Way] = []
+    for name in learned:
+        if not find_checkpoint(name).is_file():
+            raise InputError(f"choice.learned: there is no checkpoint {name}.")
+        ways.append(LearnedWay(Path(name).stem, name, rest_speed))
+    for number in cells:
+        ways.append(MPMWay(f"mpm_{number:g}", float(number), mpm))
+    return ways
+
+
+def simulate_by_choice(
+    scenes: Sequence[Scene],
+    *,
+    out: Path,
+    tolerance: float | None,
+    explain: bool,
+    duration: float | None,
+    seed: int,
+    learned: Sequence[str],
+    cells: Sequence[float],
+    mpm: Mapping[str, Any],
+    rest_speed: float,
+    frame_interval: float,
+    records: str | None,
+) -> list[Path]:
+    """Run every scene by the cheapest way that is accurate enough, and say which and why.
+
+    Args:
+        scenes: what to simulate; their names name the files.
+        out: folder; made.
+        tolerance: largest error of the final 99 % runout, relative; None only explains.
+        explain: show the ways, and run none.
+        duration: simulated time of every scene [s]; None takes each scene's own.
+        seed: of the particles' placement.
+        learned: as `make_ways`.
+        cells: likewise.
+        mpm: likewise.
+        rest_speed: likewise.
+        frame_interval: time between the frames written [s].
+        records: a table of measured runs; None takes the package's.
+
+    Returns:
+        The files written, or found.
+
+    Raises:
+        InputError: nothing to choose from, or a file of another run in the place of one.
+    """
+    measured = read_records(Path(records) if records else RECORDS)
+    ways, written = make_ways(learned, cells, mpm, rest_speed), []
+    machine = ", ".join(sorted({f"{each.device}, {each.threads} threads" for each in measured}))
+    for scene in scenes:
+        scene = scene if duration is None else scene.replace(duration=duration)
+        options = weigh(scene, ways, measured)
+        kind = "in plane strain" if kind_of(scene) == "plane" else "in three dimensions"
+        print(f"{scene.name}: {kind}, √(L0 H0) = {characteristic_size(scene):.3g} m, {scene.duration:.3g} s")
+        print(f"{table(options, scene)}\nerrors of the final 99 % runout and times as measured on {machine}")
+        if tolerance is None:
+            continue
+        chosen, why = choose(options, tolerance)
+        words = chosen.way.reduced(scene).words
+        print(f"chosen: {chosen.way.name}, {why}{f'; {words}' if words else ''}", flush=True)
+        if explain:
+            continue
+        path = out / f"{scene.name}.h5"
+        identity = {"solver": chosen.way.name, "version": gns_pl.__version__, "seed": seed}
+        written.append(path)
+        if path.exists():
+            there = read_trajectory(path)
+            same = there.scene == scene and all(there.provenance.get(key) == value for key, value in identity.items())
+            if not same:
+                raise InputError(f"{path}: is of another scene, way or seed; remove it or choose another out=.")
+            print(f"{path}: is there whole")
+            continue
+        out.mkdir(parents=True, exist_ok=True)
+        began = time.perf_counter()
+        trajectory = chosen.way.run(scene, interval=frame_interval, seed=seed)
+        seconds = time.perf_counter() - began
+        rest = trajectory.provenance.get("at_rest_from")
+        write_trajectory(
+            path, replace(trajectory, provenance={**trajectory.provenance, **identity, "wall_seconds": seconds})
+        )
+        ended = f", at rest from {rest:.3g} s" if isinstance(rest, float) else ""
+        print(
+            f"{path}: {trajectory.num_frames} frames in {seconds:.2f} s, what is compiled at first use included{ended}"
+        )
+    return written
