@@ -54,7 +54,7 @@ HEAD = (
 )
 
 
-@dataclass
+@dataclass(frozen=True)
 class Row(Record):
     """A record, with what the way gave.
 
@@ -129,7 +129,8 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[2])
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--seeds", type=int, default=3, help="placements; errors are of each, the first one's is timed")
-    parser.add_argument("--learned", nargs="+", help="checkpoints; those of conf/simulate.yaml if left out")
+    parser.add_argument("--learned", nargs="*", help="checkpoints; those of conf/simulate.yaml if left out")
+    parser.add_argument("--corrected", nargs="*", help="correctors, likewise")
     parser.add_argument(
         "--rest-speed", type=float, default=0.02, help="of the variants that sleep and end at rest, m/s"
     )
@@ -140,12 +141,15 @@ def main() -> None:
     with initialize_config_dir(str(Path(__file__).parents[1] / "conf"), version_base=None):
         config = OmegaConf.to_container(compose("simulate"), resolve=True)
     choice, paper = config["choice"], config["paper"]
-    ways = make_ways(args.learned or choice["learned"], choice["cells"], choice["mpm"])
+    learned = choice["learned"] if args.learned is None else args.learned
+    corrected = choice["corrected"] if args.corrected is None else args.corrected
+    ways = make_ways(learned, corrected, choice["cells"], choice["mpm"])
     own = {way.name for way in ways}
-    learned = [way for way in ways if isinstance(way, LearnedWay)]
-    extra: list[Way] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in learned]
-    extra += [Variant(f"{way.name}+sleep", way.path, args.rest_speed) for way in learned]
-    extra += [replace(way, name=f"{way.name} whole", reduces=False) for way in ways[len(learned) : len(learned) + 3]]
+    simulators = [way for way in ways if isinstance(way, LearnedWay)]
+    extra: list[Way] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in simulators]
+    extra += [Variant(f"{way.name}+sleep", way.path, args.rest_speed) for way in simulators]
+    solvers = [way for way in ways if isinstance(way, MPMWay)]
+    extra += [replace(way, name=f"{way.name} whole", reduces=False) for way in solvers[:3]]
     device = f"{platform.machine()} CPU"
     print(f"{device}, torch {torch.__version__}, turns {args.turns}, {args.seeds} placements")
     rows: list[Row] = []

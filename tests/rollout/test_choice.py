@@ -151,7 +151,7 @@ def test_the_cheapest_that_is_accurate_enough(learned: LearnedWay) -> None:
     assert "30.0 %" in table(options, scene)
     options = weigh(column(sides=ROUGH), ways, records)
     chosen, why = choose(options, 0.5)
-    assert chosen.way.name == "fine" and "beyond every learned simulator" in why
+    assert chosen.way.name == "fine" and "beyond everything learned" in why
     assert "not: is of plane strain" in table(options, column(sides=ROUGH))
     assert "coarse               not: was not measured" in table(options, column(sides=ROUGH))
     with pytest.raises(InputError, match="tolerance must be positive"):
@@ -166,7 +166,16 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
         "way,kind,scene,runout_error,curve_error,height_error,profile_error,seconds,work,particles,threads,device\n"
         "mpm_5,plane,c,0.1,0,0,0,1.0,1000000,100,1,here\n"
     )
-    settings = {"duration": None, "seed": 0, "learned": [], "cells": [5], "mpm": MPM, "rest_speed": 0.0}
+    settings = {
+        "duration": None,
+        "seed": 0,
+        "learned": [],
+        "corrected": [],
+        "way": None,
+        "cells": [5],
+        "mpm": MPM,
+        "rest_speed": 0.0,
+    }
     settings |= {"frame_interval": 0.05, "records": str(measured), "explain": False}
     out = tmp_path / "out"
     (path,) = simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
@@ -186,9 +195,9 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_the_packages_records_are_of_its_ways() -> None:
     records = read_records(RECORDS)
     assert {each.kind for each in records} == {"plane", "space"}
-    assert {"collapse", "collapse_plane"} <= {each.way for each in records}
+    assert {"collapse", "collapse_plane", "corrected_plane"} <= {each.way for each in records}
     assert all(np.isfinite(each.runout_error) and each.seconds > 0 for each in records)
     with pytest.raises(InputError, match="is no table"):
         read_records(Path("nowhere.csv"))
     with pytest.raises(InputError, match=r"there is no checkpoint nothing\.ckpt"):
-        make_ways(["nothing.ckpt"], [], MPM)
+        make_ways(["nothing.ckpt"], [], [], MPM)

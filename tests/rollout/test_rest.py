@@ -74,7 +74,7 @@ def test_a_scene_at_rest_is_recognised_after_some_steps() -> None:
     assert [rest.reached(0, place, place, 0.1) for _ in range(STEPS)] == [False] * (STEPS - 1) + [True]
     moved = place.clone()
     moved[0] = 0.1
-    assert not rest.reached(0, place, moved, 0.1)
+    assert not any(rest.reached(1, place, moved, 0.1) for _ in range(2 * STEPS)) and rest.rested == {0}
     mostly = Rest(speed=0.01, share=0.9)
     assert [mostly.reached(1, place, moved, 0.1) for _ in range(STEPS)][-1]
     with pytest.raises(InputError, match="must be positive"):

@@ -18,6 +18,7 @@ from gns_pl.generation.lock import locked
 from gns_pl.io import read_trajectory
 from gns_pl.io.stream import find_frames
 from gns_pl.rollout import rollout
+from gns_pl.rollout.rest import STEPS
 from gns_pl.rollout.simulate import simulate, start_of
 from gns_pl.scene import Scene, write_scene
 from tests.conftest import make_simulator
@@ -149,7 +150,10 @@ def test_two_scenes_of_one_name(ckpt: Path, drop: Scene, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["ckpt=collapse"], "which checkpoint and which scene"),
+        (["ckpt=collapse"], "which scene, and by which way?"),
+        (["scene=column_collapse"], "which scene, and by which way?"),
+        (["scene=column_collapse", "ckpt=collapse", "tolerance=0.1"], "names the way already"),
+        (["scene=nowhere.yaml", "tolerance=0.1"], "nowhere.yaml"),
         (
             ["ckpt=nothing", "scene=a.yaml"],
             "nothing: there is no such checkpoint; those that come",
@@ -163,3 +167,35 @@ def test_bad_input_is_one_sentence(arguments: list[str], sentence: str, tmp_path
         [sys.executable, "simulate.py", *arguments, f"out={tmp_path}"], cwd=ROOT, capture_output=True, text=True
     )
     assert done.returncode == 2 and sentence in done.stderr and len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_scene_at_rest_ends_and_says_so(
+    ckpt: Path, drop: Scene, column: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = {"out": tmp_path, "device": "cpu", "rest_speed": 1e3}  # every speed is below it
+    first, second = simulate(ckpt, [drop, column.replace(duration=0.03)], **settings)
+    made, short = read_trajectory(first), read_trajectory(second)
+    assert made.num_frames == STEPS + 1 and made.provenance["at_rest_from"] == pytest.approx(STEPS * 0.01)
+    assert short.num_frames == 4 and "at_rest_from" not in short.provenance
+    assert "6 frames, at rest from 0.05 s" in capsys.readouterr().out
+    simulate(ckpt, [drop], **settings)
+    assert "is there until it came to rest at 0.05 s" in capsys.readouterr().out
+
+
+def test_a_scene_of_the_catalogue_by_a_tolerance(tmp_path: Path) -> None:
+    """As a user types it: the choice is explained, then run; what is said of the scene follows its keys."""
+    command = [sys.executable, "simulate.py", "scene=column_collapse", "scene.aspect_ratio=1.5", "tolerance=0.2"]
+    command += ["scene.side_walls={condition:slip}", f"out={tmp_path / 'out'}"]
+
+    def said(*more: str) -> str:
+        done = subprocess.run([*command, *more], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    explained = said("explain=true")
+    assert "in plane strain, √(L0 H0) = 0.429 m" in explained and "chosen: " in explained
+    assert not (tmp_path / "out").exists()
+    assert "frames in" in said("scene.duration_tau=1")
+    made = read_trajectory(tmp_path / "out" / "column_collapse.h5")
+    assert made.scene.dim == 3 and made.scene.bodies[0].size == pytest.approx((0.35, 0.5, 0.525))
+    assert made.dt == pytest.approx(0.01)

@@ -19,6 +19,7 @@ from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from gns_pl.mpm import MPMConfig
+    from gns_pl.mpm.stepping import SteppedRun
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -94,6 +95,17 @@ def run_solver(
         device=device,
         num_threads=num_threads,
     )
+
+
+def stepped_run(scene: Scene, mpm: Mapping[str, Any], particles: Particles, interval: float) -> SteppedRun:
+    """Return a run that stops at every frame; arguments as `gns_pl.mpm.stepping.SteppedRun`.
+
+    Raises:
+        InputError: settings the solver refuses.
+    """
+    from gns_pl.mpm.stepping import SteppedRun
+
+    return SteppedRun(scene, solver_config(mpm), particles, interval)
 
 
 def num_threads_alone(scene: Scene, mpm: Mapping[str, Any]) -> int:

@@ -1,4 +1,4 @@
-"""Checkpoints that come with the package, each with a model card beside it."""
+"""Checkpoints and correctors that come with the package, each with a model card beside it."""
 
 from __future__ import annotations
 
@@ -16,3 +16,9 @@ def find_checkpoint(path: str | Path) -> Path:
     """Return the path of a checkpoint: that of a model that comes with the package if a bare name of one is given."""
     shipped = FOLDER / f"{path}.ckpt"
     return shipped if str(path) in pretrained_names() and not Path(path).exists() else Path(path)
+
+
+def find_corrector(path: str | Path) -> Path:
+    """Return the path of a corrector: that of one that comes with the package if its bare name is given."""
+    shipped = FOLDER / f"{path}.corrector"
+    return shipped if shipped.is_file() and not Path(path).exists() else Path(path)

@@ -11,19 +11,24 @@ from typing import Any
 import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory, write_trajectory
-from gns_pl.pretrained import find_checkpoint
-from gns_pl.rollout.choice import RECORDS, choose, kind_of, read_records, table, weigh
-from gns_pl.rollout.ways import LearnedWay, MPMWay, Way, characteristic_size
+from gns_pl.pretrained import find_checkpoint, find_corrector
+from gns_pl.rollout.choice import RECORDS, choose, kind_of, named, read_records, table, weigh
+from gns_pl.rollout.ways import CorrectedWay, LearnedWay, MPMWay, Way, characteristic_size
 from gns_pl.scene import Scene
 
 
 def make_ways(
-    learned: Sequence[str], cells: Sequence[float], mpm: Mapping[str, Any], rest_speed: float = 0.0
+    learned: Sequence[str],
+    corrected: Sequence[str],
+    cells: Sequence[float],
+    mpm: Mapping[str, Any],
+    rest_speed: float = 0.0,
 ) -> list[Way]:
     """Return the ways of a config (conf/simulate.yaml).
 
     Args:
         learned: checkpoints.
+        corrected: correctors of coarse MPM.
         cells: of MPM, over √(L0 H0).
         mpm: its settings.
         rest_speed: at which learned runs end [m/s]; 0 for never.
@@ -36,6 +41,10 @@ def make_ways(
         if not find_checkpoint(name).is_file():
             raise InputError(f"choice.learned: there is no checkpoint {name}.")
         ways.append(LearnedWay(Path(name).stem, name, rest_speed))
+    for name in corrected:
+        if not find_corrector(name).is_file():
+            raise InputError(f"choice.corrected: there is no corrector {name}.")
+        ways.append(CorrectedWay(Path(name).stem, name))
     for number in cells:
         ways.append(MPMWay(f"mpm_{number:g}", float(number), mpm))
     return ways
@@ -49,7 +58,9 @@ def simulate_by_choice(
     explain: bool,
     duration: float | None,
     seed: int,
+    way: str | None,
     learned: Sequence[str],
+    corrected: Sequence[str],
     cells: Sequence[float],
     mpm: Mapping[str, Any],
     rest_speed: float,
@@ -65,7 +76,9 @@ def simulate_by_choice(
         explain: show the ways, and run none.
         duration: simulated time of every scene [s]; None takes each scene's own.
         seed: of the particles' placement.
+        way: name of the one to take, whatever it is worth; None chooses.
         learned: as `make_ways`.
+        corrected: likewise.
         cells: likewise.
         mpm: likewise.
         rest_speed: likewise.
@@ -79,7 +92,7 @@ def simulate_by_choice(
         InputError: nothing to choose from, or a file of another run in the place of one.
     """
     measured = read_records(Path(records) if records else RECORDS)
-    ways, written = make_ways(learned, cells, mpm, rest_speed), []
+    ways, written = make_ways(learned, corrected, cells, mpm, rest_speed), []
     machine = ", ".join(sorted({f"{each.device}, {each.threads} threads" for each in measured}))
     for scene in scenes:
         scene = scene if duration is None else scene.replace(duration=duration)
@@ -87,9 +100,12 @@ def simulate_by_choice(
         kind = "in plane strain" if kind_of(scene) == "plane" else "in three dimensions"
         print(f"{scene.name}: {kind}, √(L0 H0) = {characteristic_size(scene):.3g} m, {scene.duration:.3g} s")
         print(f"{table(options, scene)}\nerrors of the final 99 % runout and times as measured on {machine}")
-        if tolerance is None:
+        if way is not None:
+            chosen, why = named(options, way), "as asked for"
+        elif tolerance is None:
             continue
-        chosen, why = choose(options, tolerance)
+        else:
+            chosen, why = choose(options, tolerance)
         words = chosen.way.reduced(scene).words
         print(f"chosen: {chosen.way.name}, {why}{f'; {words}' if words else ''}", flush=True)
         if explain:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from gns_pl.errors import InputError
 from gns_pl.rollout.reduction import why_not_plane
-from gns_pl.rollout.ways import LearnedWay, Way
+from gns_pl.rollout.ways import CorrectedWay, LearnedWay, Way
 from gns_pl.scene import Scene
 
 RECORDS = Path(__file__).parent / "records.csv"
@@ -128,10 +128,10 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
     trusted = [each for each in options if each.reason is None and each.error is not None and each.seconds is not None]
     if not trusted:
         raise InputError("no way was measured on scenes of this kind; run benchmarks/reductions.py, or name a ckpt.")
-    learned = [each for each in options if isinstance(each.way, LearnedWay)]
+    learned = [each for each in options if isinstance(each.way, LearnedWay | CorrectedWay)]
     beyond = ""
     if learned and all(each.reason is not None for each in learned):
-        beyond = "the scene is beyond every learned simulator, so the material point method it is: "
+        beyond = "the scene is beyond everything learned, so the material point method it is: "
     good = [each for each in trusted if each.error is not None and each.error <= tolerance]
     if good:
         chosen = good[0]
@@ -140,6 +140,20 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
         chosen = min(trusted, key=lambda each: each.error or 0.0)
         words = f"none meets {100 * tolerance:g} %, and this is the most accurate"
     return chosen, f"{beyond}{words}"
+
+
+def named(options: Sequence[Option], name: str) -> Option:
+    """Return the option of a way that is asked for, whether it can be trusted or not.
+
+    Raises:
+        InputError: there is no such way, or it cannot run the scene at all.
+    """
+    found = next((each for each in options if each.way.name == name), None)
+    if found is None:
+        raise InputError(f"way: there is no {name}; there are {', '.join(each.way.name for each in options)}.")
+    if found.reason and ("dimensions" in found.reason or "plane strain" in found.reason):
+        raise InputError(f"way: {name} {found.reason}.")
+    return found
 
 
 def table(options: Sequence[Option], scene: Scene) -> str:

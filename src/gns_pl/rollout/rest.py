@@ -26,12 +26,16 @@ class Rest:
     Args:
         speed: below which a particle is at rest [m/s].
         share: of a scene's particles that have to be, for `STEPS` steps in a row.
+
+    Attributes:
+        rested: numbers of the scenes that have come to rest.
     """
 
     def __init__(self, speed: float, share: float = 1.0) -> None:
         if not speed > 0:
             raise InputError(f"the speed below which a scene rests must be positive, not {speed}.")
         self.speed, self.share = speed, share
+        self.rested: set[int] = set()
         self._still: dict[int, int] = {}
 
     def reached(self, scene: int, before: Tensor, after: Tensor, dt: float) -> bool:
@@ -46,7 +50,9 @@ class Rest:
         slow = (after - before).square().sum(dim=1) < (self.speed * dt) ** 2
         still = bool(slow.float().mean() >= self.share)
         self._still[scene] = self._still.get(scene, 0) + 1 if still else 0
-        return self._still[scene] >= STEPS
+        if self._still[scene] >= STEPS:
+            self.rested.add(scene)
+        return scene in self.rested
 
 
 class SleepingStep:

@@ -28,6 +28,7 @@ from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_
 from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
+from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.ways import start_of
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
 from gns_pl.simulator import Simulator
@@ -45,13 +46,13 @@ class Job:
         path: the file.
         run: what is left to do.
         source: file that holds the frames made before; None if there are none.
-        failed_at: time at which an earlier run of it stopped being finite [s].
+        ended: why and when an earlier run of it ended before its time, in words; empty if it did not.
     """
 
     path: Path
     run: Run
     source: Path | None
-    failed_at: float | None
+    ended: str
 
 
 def simulate_config(cfg: DictConfig) -> list[Path]:
@@ -60,25 +61,27 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     ckpt, named, tolerance = (settings.pop(key) for key in ("ckpt", "scene", "tolerance"))
-    catalogue, choice, explain, _ = (settings.pop(key) for key in ("catalogue", "choice", "explain", "paper"))
-    if not named or not (ckpt or tolerance is not None or explain):
+    catalogue, choice, explain, way = (settings.pop(key) for key in ("catalogue", "choice", "explain", "way"))
+    settings.pop("paper")
+    chooses = tolerance is not None or explain or way is not None
+    if not named or not (ckpt or chooses):
         raise InputError(
             "which scene, and by which way? python simulate.py scene=column_collapse tolerance=0.05, or ckpt=collapse "
             "scene=FILE.yaml"
         )
     settings["out"] = Path(settings["out"])
-    scenes = [_named_scene(each, catalogue) for each in ([named] if isinstance(named, str) else named)]
-    if not ckpt:
-        from gns_pl.rollout.by_choice import simulate_by_choice
-
-        kept = {key: settings[key] for key in ("out", "duration", "seed")}
-        return simulate_by_choice(scenes, tolerance=tolerance, explain=explain, **choice, **kept)
-    if tolerance is not None or explain:
-        raise InputError("ckpt= names the way already; leave it out, and tolerance=, explain= choose one.")
-    checkpoint = find_checkpoint(ckpt)
-    if not checkpoint.is_file():
+    checkpoint = find_checkpoint(ckpt) if ckpt else None
+    if checkpoint is not None and not checkpoint.is_file():
         known = ", ".join(pretrained_names())
         raise InputError(f"{checkpoint}: there is no such checkpoint; those that come with gns_pl are {known}.")
+    scenes = [_named_scene(each, catalogue) for each in ([named] if isinstance(named, str) else named)]
+    if checkpoint is None:
+        from gns_pl.rollout.by_choice import simulate_by_choice
+
+        kept = {key: settings[key] for key in ("out", "duration", "seed", "rest_speed")}
+        return simulate_by_choice(scenes, tolerance=tolerance, explain=explain, way=way, **choice, **kept)
+    if chooses:
+        raise InputError("ckpt= names the way already; leave it out, and tolerance=, way=, explain= choose one.")
     return simulate(checkpoint, scenes, **settings)
 
 
@@ -87,7 +90,8 @@ def _named_scene(name: str, catalogue: Mapping[str, Any]) -> Scene:
     if name not in catalogue:
         return read_scene(Path(name))
     parts = dict(catalogue[name])
-    gravity, height = float(parts["gravity"]), parts["length"] * parts.pop("aspect_ratio")
+    gravity, height = float(parts["gravity"]), parts["length"] * parts["aspect_ratio"]
+    sides = {"y-": parts["side_walls"], "y+": parts["side_walls"]} if parts["side_walls"] else {}
     return column_collapse(
         domain=parts["domain"],
         length=parts["length"],
@@ -95,7 +99,7 @@ def _named_scene(name: str, catalogue: Mapping[str, Any]) -> Scene:
         gravity=gravity,
         duration=parts["duration_tau"] * math.sqrt(height / gravity),
         material=part_from_dict(Material, "material", parts["material"]),
-        walls={face: part_from_dict(Wall, f"wall {face}", wall) for face, wall in parts["walls"].items()},
+        walls={face: part_from_dict(Wall, f"wall {face}", wall) for face, wall in {**parts["walls"], **sides}.items()},
         name=name,
     )
 
@@ -107,6 +111,7 @@ def simulate(
     out: Path,
     duration: float | None = None,
     seed: int = 0,
+    rest_speed: float = 0.0,
     device: str = "auto",
     acceleration: Mapping[str, Any] | None = None,
 ) -> list[Path]:
@@ -121,6 +126,7 @@ def simulate(
         out: folder; made.
         duration: simulated time of every scene [s]; None takes each scene's own.
         seed: of the particles' placement.
+        rest_speed: a scene ends when all its particles were slower for some steps [m/s]; 0 makes all steps.
         device: "auto", or a device as torch names it.
         acceleration: arguments of `rollout.acceleration.accelerate`.
 
@@ -161,16 +167,16 @@ def simulate(
         left = [job for job in jobs if job.run.num_steps or job.source != job.path]
         meet()  # all have seen the files as they were
         step = SlabSimulator(simulator) if size > 1 else None
+        rest = Rest(rest_speed) if rest_speed else None
         if rank:
             with torch.inference_mode():
-                deque(unroll(simulator, [job.run for job in left], step), maxlen=0)
+                deque(unroll(simulator, [job.run for job in left], step, rest=rest), maxlen=0)
             return [job.path for job in jobs]
         if left:
-            _write(left, simulator, step, identity)
+            _write(left, simulator, step, identity, rest)
     for job in jobs:
         if job not in left:
-            until = f"until it failed at {job.failed_at:g} s" if job.failed_at is not None else "whole"
-            print(f"{job.path}: is there {until}")
+            print(f"{job.path}: is there {job.ended or 'whole'}")
     return [job.path for job in jobs]
 
 
@@ -179,7 +185,7 @@ def _job(path: Path, start: Trajectory, length: int) -> Job:
     wanted = math.ceil(start.scene.duration / start.dt - 1e-6)
     found = find_frames(path)
     if found is None:
-        return Job(path, Run(start, wanted), None, None)
+        return Job(path, Run(start, wanted), None, "")
     source, header = found
     same = (
         all(header.provenance.get(key) == value for key, value in start.provenance.items())
@@ -191,11 +197,13 @@ def _job(path: Path, start: Trajectory, length: int) -> Job:
             f"{source}: is of another scene, checkpoint, seed or version; remove it or choose another out=."
         )
     made = header.num_frames - 1
-    failed_at = header.provenance.get("failed_at")
-    left = 0 if failed_at is not None else max(0, wanted - made)
+    failed_at, rested = (header.provenance.get(key) for key in ("failed_at", "at_rest_from"))
+    ended = f"until it failed at {failed_at:g} s" if isinstance(failed_at, float) else ""
+    ended = f"until it came to rest at {rested:g} s" if isinstance(rested, float) else ended
+    left = 0 if ended else max(0, wanted - made)
     first = max(0, made + 1 - length)
     past = read_window(source, first, made + 1 - first)
-    return Job(path, Run(start, left, past, made), source, failed_at if isinstance(failed_at, float) else None)
+    return Job(path, Run(start, left, past, made), source, ended)
 
 
 def _write(
@@ -203,6 +211,7 @@ def _write(
     simulator: Simulator,
     step: Callable[[torch.Tensor, Static], torch.Tensor] | None,
     identity: Mapping[str, object],
+    rest: Rest | None,
 ) -> None:
     """Make the steps of all jobs together and close every file when its scene is done."""
     dt = simulator.config.dt
@@ -213,20 +222,28 @@ def _write(
     known = " after " + ", ".join(f"{job.run.made * dt:g} s" for job in jobs) if any(j.source for j in jobs) else ""
     print(f"{label}: {total} steps of {dt:g} s{known}; {needs}", flush=True)
     made, began = 0, time.perf_counter()
+    rested = rest.rested if rest else set()
 
     def finish(number: int, **more: object) -> None:
         device, threads = str(simulator.velocity_scale.device), torch.get_num_threads()
         seconds = time.perf_counter() - began
         provenance = {**identity, "wall_seconds": seconds, "device": device, "num_threads": threads, **more}
         streams[number].finish(provenance)
-        print(f"{jobs[number].path}: {streams[number].num_frames} frames", flush=True)
+        ended = f", at rest from {more['at_rest_from']:g} s" if "at_rest_from" in more else ""
+        print(f"{jobs[number].path}: {streams[number].num_frames} frames{ended}", flush=True)
+
+    def finish_rested(number: int, steps: int) -> None:
+        open_jobs.remove(number)
+        finish(number, at_rest_from=(jobs[number].run.made + steps) * dt)
 
     try:
         with counting(label, dt) as show, torch.inference_mode():
             open_jobs = {number for number, job in enumerate(jobs) if job.run.num_steps}
             for number in set(range(len(jobs))) - open_jobs:
                 finish(number)  # killed between its last frame and its name
-            for parts in unroll(simulator, [job.run for job in jobs], step):
+            for parts in unroll(simulator, [job.run for job in jobs], step, rest=rest):
+                for number in sorted(open_jobs & rested):
+                    finish_rested(number, made)
                 made += 1
                 for number in sorted(open_jobs):
                     if number in parts:
@@ -238,6 +255,8 @@ def _write(
                         if failed:
                             print(f"{jobs[number].path}: not finite from {failed['failed_at']:g} s on; ended there.")
                 show(made, total)
+            for number in sorted(open_jobs):
+                finish_rested(number, made)
     except KeyboardInterrupt:
         raise SystemExit("simulate.py: stopped; the same command goes on where it was.") from None
     finally:

@@ -16,11 +16,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from gns_pl.checkpoint import Checkpoint, load_checkpoint
+from gns_pl.corrector import CorrectorFile, load_corrector
 from gns_pl.generation import chosen_every, solver
+from gns_pl.pretrained import find_corrector
+from gns_pl.rollout.correction import corrected_run
 from gns_pl.rollout.engine import rollout
 from gns_pl.rollout.reduction import Reduction, reduce_scene, to_plane, why_not_plane
 from gns_pl.rollout.rest import Rest
-from gns_pl.scene import Material, Scene, Wall, fill_scene, part_from_dict
+from gns_pl.scene import Material, Particles, Scene, Wall, fill_scene, part_from_dict
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 OVERHEAD = 300
@@ -131,26 +134,16 @@ class LearnedWay:
 
     def why_not(self, scene: Scene) -> str | None:
         """Return what of a scene was not in the simulator's data, or None."""
-        data, config = self.checkpoint.data, self.checkpoint.simulator.config
-        if config.dim == 2 and scene.dim == 3:
-            reasons = [why_not_plane(scene, axis) for axis in (1, 0)]
-            if None not in reasons:
-                return f"is of plane strain, and the scene is not: {reasons[0]}"
-        elif config.dim != scene.dim:
-            return f"has {config.dim} dimensions, the scene {scene.dim}"
-        return next(_beyond(self.reduced(scene).scene, data), None)
+        return _why_not(scene, self.checkpoint.simulator.config.dim, self.checkpoint.data)
 
     def reduced(self, scene: Scene) -> Reduction:
         """Return the scene's slice for a simulator of two dimensions, else the scene itself."""
-        if self.checkpoint.simulator.config.dim == 2 and scene.dim == 3:
-            return to_plane(scene, 1 if why_not_plane(scene, 1) is None else 0)
-        return Reduction(scene, lambda trajectory: trajectory, "")
+        return _reduced(scene, self.checkpoint.simulator.config.dim)
 
     def size(self, scene: Scene) -> tuple[int, int]:
         """Return the numbers of particles and of steps."""
-        less, config = self.reduced(scene).scene, self.checkpoint.simulator.config
-        volume = sum(math.prod(body.size) for body in less.bodies)
-        return round(volume / config.spacing**less.dim), math.ceil(less.duration / config.dt - 1e-6)
+        config = self.checkpoint.simulator.config
+        return _size(self.reduced(scene).scene, config.spacing, config.dt)
 
     def work(self, scene: Scene) -> float:
         """Return (particles + overhead) × steps."""
@@ -166,6 +159,72 @@ class LearnedWay:
         return less.lift(made.resampled(interval, scene.duration))
 
 
+@dataclass(frozen=True)
+class CorrectedWay:
+    """Coarse MPM, corrected by a network.
+
+    Attributes:
+        name: of the way.
+        path: of the corrector's file, or the name of one that comes with the package.
+    """
+
+    name: str
+    path: str | Path
+
+    @cached_property
+    def file(self) -> CorrectorFile:
+        """The corrector's file, read when first needed."""
+        return load_corrector(find_corrector(self.path))
+
+    def why_not(self, scene: Scene) -> str | None:
+        """Return what of a scene was not in the corrector's data, or None."""
+        return _why_not(scene, self.file.corrector.config.dim, self.file.data)
+
+    def reduced(self, scene: Scene) -> Reduction:
+        """Return the scene's slice for a corrector of two dimensions, else the scene itself."""
+        return _reduced(scene, self.file.corrector.config.dim)
+
+    def size(self, scene: Scene) -> tuple[int, int]:
+        """Return the numbers of points and of corrections."""
+        config = self.file.corrector.config
+        return _size(self.reduced(scene).scene, config.spacing, config.interval)
+
+    def work(self, scene: Scene) -> float:
+        """Return (points + overhead) × corrections."""
+        particles, steps = self.size(scene)
+        return float((particles + OVERHEAD) * steps)
+
+    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
+        """Return the trajectory; arguments as those of `Way`."""
+        less, corrector = self.reduced(scene), self.file.corrector
+        config = corrector.config
+        particles = _filled(less.scene, config.spacing, self.file.data, seed)
+        start = start_trajectory(less.scene, particles, config.interval, {})
+        made = corrected_run(corrector, start, self.size(scene)[1])
+        return less.lift(made.resampled(interval, scene.duration))
+
+
+def _why_not(scene: Scene, dim: int, data: Mapping[str, Any]) -> str | None:
+    if dim == 2 and scene.dim == 3:
+        reasons = [why_not_plane(scene, axis) for axis in (1, 0)]
+        if None not in reasons:
+            return f"is of plane strain, and the scene is not: {reasons[0]}"
+    elif dim != scene.dim:
+        return f"has {dim} dimensions, the scene {scene.dim}"
+    return next(_beyond(_reduced(scene, dim).scene, data), None)
+
+
+def _reduced(scene: Scene, dim: int) -> Reduction:
+    if dim == 2 and scene.dim == 3:
+        return to_plane(scene, 1 if why_not_plane(scene, 1) is None else 0)
+    return Reduction(scene, lambda trajectory: trajectory, "")
+
+
+def _size(scene: Scene, spacing: float, dt: float) -> tuple[int, int]:
+    volume = sum(math.prod(body.size) for body in scene.bodies)
+    return round(volume / spacing**scene.dim), math.ceil(scene.duration / dt - 1e-6)
+
+
 def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mapping[str, object]) -> Trajectory:
     """Return a scene filled at the spacing of a checkpoint's data, as irregularly as these are, in one frame.
 
@@ -175,11 +234,15 @@ def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mappin
         seed: of the placement.
         provenance: how the trajectory is made.
     """
-    config, data = checkpoint.simulator.config, checkpoint.data
+    config = checkpoint.simulator.config
+    particles = _filled(scene, config.spacing, checkpoint.data, seed)
+    return start_trajectory(scene, particles, config.dt, dict(provenance))
+
+
+def _filled(scene: Scene, spacing: float, data: Mapping[str, Any], seed: int) -> Particles:
     # Of the data every k-th point of a lattice is kept, and moves in its own, k times smaller, cell.
     jitter = float(data.get("mpm", {}).get("jitter", 0.0)) / chosen_every(data)
-    particles = fill_scene(scene, config.spacing, jitter=jitter, generator=np.random.default_rng(seed))
-    return start_trajectory(scene, particles, config.dt, dict(provenance))
+    return fill_scene(scene, spacing, jitter=jitter, generator=np.random.default_rng(seed))
 
 
 def _beyond(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:

@@ -1,0 +1,19 @@
+"""python correct.py [key=value …]: fit a network that corrects coarse material point runs."""
+
+import hydra
+from omegaconf import DictConfig
+
+from gns_pl.errors import told_plainly
+
+
+@hydra.main(version_base=None, config_path="conf", config_name="correction")
+def main(cfg: DictConfig) -> None:
+    """Fit with one config."""
+    with told_plainly("correct.py"):
+        from gns_pl.training.correction import correction_config
+
+        correction_config(cfg)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""A run that stops at frames is the same run; what is pushed moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gns_pl.mpm import MPMConfig, SimulationError, simulate
+from gns_pl.mpm.stepping import SteppedRun
+from gns_pl.scene import FACES, Scene, Wall, column_collapse, fill_scene
+from tests.conftest import SAND
+
+CONFIG = MPMConfig(
+    cell_size=1 / 12,
+    points_per_direction=2,
+    courant=0.5,
+    transfer="affine_flip",
+    damping_rate=20,
+    bulk_viscosity=0.86,
+    jitter=0.0,
+)
+
+
+def column(dim: int) -> Scene:
+    walls = dict.fromkeys(FACES[dim], Wall("friction", 0.4))
+    domain = (1.0, 0.25, 0.6) if dim == 3 else (1.0, 0.6)
+    return column_collapse(
+        domain=domain, length=0.25, height=0.4, gravity=9.81, duration=0.2, material=SAND, walls=walls
+    )
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_frame_by_frame_is_the_same_run(dim: int) -> None:
+    scene = column(dim)
+    whole = simulate(scene, CONFIG, frame_interval=0.02)
+    run = SteppedRun(scene, CONFIG, fill_scene(scene, CONFIG.spacing), 0.02)
+    for frame in range(1, whole.num_frames):
+        run.advance()
+        np.testing.assert_allclose(run.position, whole.position[frame], atol=1e-6)
+    assert run.velocity.shape == run.position.shape
+
+
+def test_a_push_moves_and_too_strong_a_push_is_told() -> None:
+    scene = column(2)
+    runs = [SteppedRun(scene, CONFIG, fill_scene(scene, CONFIG.spacing), 0.02) for _ in range(2)]
+    push = np.zeros_like(runs[0].velocity)
+    push[:, 0] = 0.1
+    runs[0].push(push)
+    np.testing.assert_allclose(runs[0].velocity - runs[1].velocity, push)
+    for run in runs:
+        run.advance()
+    moved = (runs[0].position - runs[1].position)[:, 0].mean()
+    assert 0.5 * 0.1 * 0.02 < moved < 1.2 * 0.1 * 0.02
+    runs[0].push(1e3 * push)
+    with pytest.raises(SimulationError, match="pushed"):
+        runs[0].advance()
