@@ -18,6 +18,7 @@ import argparse
 import csv
 import os
 import platform
+import re
 import statistics
 import time
 from collections.abc import Callable
@@ -213,8 +214,42 @@ def main() -> None:
                     show(row)
                 if args.out:
                     write(args.out, rows, Row)
+                    draw(rows, args.out.with_suffix(".png"))
     if args.records:
         write(args.records, [row for row in rows if row.way in own], Record)
+
+
+def draw(rows: list[Row], path: Path) -> None:
+    """Draw the largest error of all columns against the time of a run, a panel for each kind, into a file."""
+    import matplotlib.pyplot as plt
+
+    kinds = list(dict.fromkeys(row.kind for row in rows))
+    figure, axes = plt.subplots(1, len(kinds), figsize=(6 * len(kinds), 4.6), layout="constrained", squeeze=False)
+    titles = {"plane": "smooth side walls (plane strain)", "space": "rough side walls"}
+    for axis, kind in zip(axes[0], kinds, strict=True):
+        points: dict[str, list[Row]] = {}
+        for row in rows:
+            if row.kind == kind:
+                points.setdefault(row.way, []).append(row)
+        of_mpm = []
+        for way, found in points.items():
+            seconds = statistics.median(row.seconds for row in found)
+            error = 100 * max(abs(row.runout_error) for row in found)
+            solver, guessed = way.startswith("mpm"), way.startswith("extrapolated")
+            colour = "C7" if guessed else "C0" if solver else "C1" if way.startswith("corrected") else "C2"
+            axis.plot(seconds, error, "x" if guessed else "o", color=colour)
+            cells = [str(round(0.4243 / float(part) * 1e3)) for part in re.findall(r"[\d.]+", way)]
+            label = f"MPM {cells[0]} mm{' whole' if 'whole' in way else ''}" if solver else way
+            label = f"extrapolated {cells[0]}, {cells[1]}" if guessed else label
+            axis.annotate(label, (seconds, error), xytext=(4, 3), textcoords="offset points", fontsize=7)
+            if solver and "whole" not in way:
+                of_mpm.append((seconds, error))
+        axis.plot(*zip(*sorted(of_mpm), strict=True), color="C0", linewidth=0.8)
+        axis.axhline(5, color="0.7", linewidth=0.8, linestyle="--")
+        axis.set(xscale="log", yscale="log", xlabel="wall time of a run [s]", title=titles[kind])
+        axis.set_ylabel("largest error of the final 99 % runout [%]")
+        axis.grid(alpha=0.3, which="both")
+    figure.savefig(path, dpi=130)
 
 
 def show(row: Row) -> None:

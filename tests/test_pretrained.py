@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from gns_pl.checkpoint import load_checkpoint
+from gns_pl.corrector import load_corrector
 from gns_pl.evaluation.scenes import build_scenes
-from gns_pl.pretrained import FOLDER, find_checkpoint, pretrained_names
+from gns_pl.pretrained import FOLDER, find_checkpoint, find_corrector, pretrained_names
 from gns_pl.rollout import rollout
 from gns_pl.scene import fill_scene
 from gns_pl.trajectory import start_trajectory
@@ -22,6 +23,14 @@ def test_each_has_a_card_and_its_provenance(name: str, tmp_path: Path, monkeypat
     assert checkpoint.provenance["config"]["name"] == name and checkpoint.provenance["steps"] > 0
     assert (FOLDER / f"{name}.md").read_text(encoding="utf-8").startswith(f"# {name}\n")
     assert find_checkpoint(name).stat().st_size < 1e7
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.corrector")), ids=lambda path: path.stem)
+def test_each_corrector_has_a_card_and_its_provenance(path: Path) -> None:
+    file = load_corrector(find_corrector(path.stem))
+    assert file.provenance["steps"] > 0 and file.data["families"]
+    assert (FOLDER / f"{path.stem}.md").read_text(encoding="utf-8").startswith(f"# {path.stem}\n")
+    assert path.stat().st_size < 1e7
 
 
 def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,9 +27,6 @@ from gns_pl.nn import EncodeProcessDecode
 KEY = "gns_pl_corrector"
 FORMAT_VERSION = 1
 
-SLOW = 0.05
-"""A point's correction is halved where it is slower than this part of the velocity scale: what rests is left alone."""
-
 
 @dataclass(frozen=True)
 class CorrectorConfig:
@@ -44,6 +41,8 @@ class CorrectorConfig:
         latent_size: width of the states.
         num_mlp_layers: hidden layers of each MLP.
         num_message_passing_steps: number of interaction networks.
+        slow: a correction is halved where a point is slower than this part of the velocity scale, and vanishes with its
+            speed: what rests is left alone.
     """
 
     dim: int
@@ -54,9 +53,10 @@ class CorrectorConfig:
     latent_size: int
     num_mlp_layers: int
     num_message_passing_steps: int
+    slow: float
 
     def __post_init__(self) -> None:
-        for name in ("interval", "spacing", "connectivity_radius"):
+        for name in ("interval", "spacing", "connectivity_radius", "slow"):
             if not getattr(self, name) > 0:
                 raise InputError(f"correction.{name} must be positive, not {getattr(self, name)}.")
 
@@ -119,7 +119,7 @@ class Corrector(nn.Module):
         edge = edge_features(predicted, edge_index, config.connectivity_radius)
         output: Tensor = self.network(torch.cat([node, change], dim=1), edge, edge_index)
         speed = velocity.norm(dim=1, keepdim=True)
-        moving: Tensor = speed / (speed + SLOW * self.velocity_scale)
+        moving: Tensor = speed / (speed + config.slow * self.velocity_scale)
         return output * moving * self.correction_scale
 
 

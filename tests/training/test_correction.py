@@ -37,6 +37,7 @@ CONFIG = CorrectorConfig(
     latent_size=16,
     num_mlp_layers=1,
     num_message_passing_steps=2,
+    slow=0.1,
 )
 
 
@@ -64,13 +65,13 @@ def fine() -> Trajectory:
 def test_without_a_correction_it_is_the_coarse_run(fine: Trajectory) -> None:
     made = corrected_run(plain(), fine, fine.num_frames - 1)
     assert made.num_frames == fine.num_frames
-    steps = list(followed_run(fine, plain(), share=1.0))
+    steps = list(followed_run(fine, plain(), catch_up=0.2))
     np.testing.assert_allclose(made.position[1], steps[0][2], atol=1e-6)
     assert (made.position[-1] - fine.position[-1])[:, 0].min() < -0.1  # it falls short
 
 
 def test_a_run_that_follows_ends_where_the_fine_one_ends(fine: Trajectory) -> None:
-    steps = list(followed_run(fine, plain(), share=1.0))
+    steps = list(followed_run(fine, plain(), catch_up=0.2))
     assert len(steps) == fine.num_frames - 1
     off = np.array([np.abs(step[2] - fine.position[k + 1]).mean() for k, step in enumerate(steps)])
     coarse = corrected_run(plain(), fine, fine.num_frames - 1)
@@ -80,7 +81,7 @@ def test_a_run_that_follows_ends_where_the_fine_one_ends(fine: Trajectory) -> No
 def test_a_run_that_trusts_goes_its_own_way_and_is_told_back(fine: Trajectory) -> None:
     torch.manual_seed(0)
     corrector = Corrector(CONFIG).eval()
-    led, own = (make_examples(0, fine, corrector, trust=each) for each in (0.0, 1.0))
+    led, own = (make_examples(0, fine, corrector, catch_up=0.2, trust=each) for each in (0.0, 1.0))
     alone = corrected_run(corrector, fine, 20).position
     torch.testing.assert_close(own[18][1][2], own[19][1][1])
     np.testing.assert_allclose(own[19][1][1], alone[19], atol=1e-5)
@@ -90,7 +91,7 @@ def test_a_run_that_trusts_goes_its_own_way_and_is_told_back(fine: Trajectory) -
 
 def test_a_batch_of_scenes_gives_what_each_gives(fine: Trajectory) -> None:
     corrector = Corrector(CONFIG).eval()
-    module = CorrectionModule(corrector, [fine, fine], [], 1e-3, 10)
+    module = CorrectionModule(corrector, [fine, fine], [], 1e-3, 10, catch_up=0.2)
     module.log = lambda *_, **__: None
     first, second = module.examples[0][3], module.examples[1][10]
     with torch.no_grad():
@@ -132,12 +133,14 @@ def test_fitting_finds_what_a_coarse_run_misses(tmp_path: Path, fine: Trajectory
             "latent_size": 16,
             "num_mlp_layers": 1,
             "num_message_passing_steps": 2,
+            "slow": 0.1,
         },
         "num_steps": 300,
         "batch_size": 2,
         "learning_rate": 1.5e-3,
         "valid_every": 100,
         "renewed": 0.5,
+        "catch_up": 0.2,
     }
     path = fit_corrector(settings, tmp_path / "run")
     file = load_corrector(path)
@@ -145,7 +148,7 @@ def test_fitting_finds_what_a_coarse_run_misses(tmp_path: Path, fine: Trajectory
     assert len(runout_errors(file.corrector, [fine])) == 1 and runout_errors(plain(), [fine])[0] < -0.1
     missed = [
         (velocity - file.corrector(before, now, after, static_of(fine)), velocity)
-        for _, (before, now, after, velocity) in make_examples(0, fine, file.corrector)
+        for _, (before, now, after, velocity) in make_examples(0, fine, file.corrector, catch_up=0.2)
     ]
     left, whole = (sum(float(each[k].detach().square().sum()) for each in missed) for k in (0, 1))
     assert left < 0.8 * whole  # on a column it was not fitted to

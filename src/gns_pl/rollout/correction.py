@@ -23,9 +23,6 @@ from gns_pl.trajectory import Trajectory
 
 Floats = NDArray[np.float32]
 
-CATCH_UP = 0.2
-"""Part of what places are behind a fine run that is caught up in an interval, while it is followed."""
-
 
 def points_of(trajectory: Trajectory) -> Particles:
     """Return the particles of a trajectory's first frame as points of a run."""
@@ -79,7 +76,7 @@ def corrected_run(corrector: Corrector, start: Trajectory, num_steps: int) -> Tr
 
 @torch.no_grad()
 def followed_run(
-    trajectory: Trajectory, corrector: Corrector, *, share: float = 1.0, trust: float = 0.0
+    trajectory: Trajectory, corrector: Corrector, *, share: float = 1.0, catch_up: float, trust: float = 0.0
 ) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
     """Follow a fine trajectory with a coarse run whose velocities are led to the fine ones.
 
@@ -89,8 +86,8 @@ def followed_run(
     Args:
         trajectory: the fine one, its frames the corrector's interval apart.
         corrector: whose coarse run follows.
-        share: of the missing velocity that is wanted, above 0 and up to 1; what places are behind is caught up besides,
-            over 1 / `CATCH_UP` intervals.
+        share: of the missing velocity that is wanted, above 0 and up to 1.
+        catch_up: part of what places are behind that is to be caught up in an interval, besides.
         trust: part of the velocity given that comes from the corrector, 0 to 1; the rest is what is wanted.
 
     Yields:
@@ -107,7 +104,7 @@ def followed_run(
         predicted = run.position
         after = min(frame + 1, last)
         wanted = (fine[after].astype(np.float64) - fine[frame - 1]) / ((after - frame + 1) * dt)
-        velocity = share * (wanted - run.velocity) + CATCH_UP * (fine[frame] - predicted) / dt
+        velocity = share * (wanted - run.velocity) + catch_up * (fine[frame] - predicted) / dt
         arrays = tuple(each.astype(np.float32) for each in (before, position, predicted, velocity))
         yield arrays  # type: ignore[misc]
         if trust:

@@ -281,7 +281,8 @@ def quieten() -> None:
     """Keep Lightning's advertisements, and warnings that tell a user nothing, off the terminal."""
     for library in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(library).setLevel(logging.WARNING)
-    known = ("exists and is not empty", "does not have many workers", "LeafSpec", "weights_only", "not resumable")
+    known = ["exists and is not empty", "does not have many workers", "LeafSpec", "weights_only", "not resumable"]
+    known += ["has `__len__` defined", "in eval mode at the start of training"]
     for message in known:
         warnings.filterwarnings("ignore", f".*{message}")
     warnings.filterwarnings("ignore", category=DeprecationWarning)
