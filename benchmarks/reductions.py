@@ -128,6 +128,7 @@ def main() -> None:
     parser.add_argument("--columns", nargs="+", default=list(COLUMNS), choices=list(COLUMNS))
     parser.add_argument("--kinds", nargs="+", default=["plane", "space"], choices=["plane", "space"])
     parser.add_argument("--threads", type=int, nargs="+", default=[2])
+    parser.add_argument("--core", type=int, default=0, help="the first of those it is bound to")
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--seeds", type=int, default=3, help="placements; errors are of each, the first one's is timed")
     parser.add_argument("--learned", nargs="*", help="checkpoints; those of conf/simulate.yaml if left out")
@@ -155,7 +156,7 @@ def main() -> None:
     print(f"{device}, torch {torch.__version__}, turns {args.turns}, {args.seeds} placements")
     rows: list[Row] = []
     for threads in args.threads:
-        os.sched_setaffinity(0, range(threads))
+        os.sched_setaffinity(0, range(args.core, args.core + threads))
         torch.set_num_threads(threads)
         numba.set_num_threads(threads)
         for kind in args.kinds:

@@ -17,6 +17,9 @@ from gns_pl.rollout.reduction import why_not_plane
 from gns_pl.rollout.ways import CorrectedWay, LearnedWay, Way
 from gns_pl.scene import Scene
 
+FINE_ERROR = 0.03
+"""Of the reference itself, MPM on cells of 1/48 m, against the converged runout (docs/reference.md); none is better."""
+
 RECORDS = Path(__file__).parent / "records.csv"
 
 
@@ -59,7 +62,8 @@ class Option:
 
     Attributes:
         way: the way.
-        error: largest measured error of the runout on scenes of this kind; None if none was measured.
+        error: largest measured error of the runout on scenes of this kind, at least `FINE_ERROR`; None if none was
+            measured.
         seconds: expected; None likewise.
         reason: why it cannot be trusted with the scene; None if it can.
     """
@@ -105,7 +109,7 @@ def weigh(scene: Scene, ways: Sequence[Way], records: Sequence[Record]) -> list[
         measured = [each for each in records if each.way == way.name and each.kind == kind]
         error = seconds = None
         if measured and reason is None:
-            error = max(abs(each.runout_error) for each in measured)
+            error = max(FINE_ERROR, *(abs(each.runout_error) for each in measured))
             seconds = way.work(scene) * statistics.median(each.seconds / each.work for each in measured)
         if not measured and reason is None:
             reason = "was not measured on scenes of this kind"
