@@ -34,12 +34,10 @@ from omegaconf import OmegaConf
 from gns_pl.evaluation.curves import compute_curves
 from gns_pl.evaluation.measures import characteristic_time, deposit_profile, particle_spacing
 from gns_pl.generation.reference import reference_trajectory
-from gns_pl.rollout import rollout
 from gns_pl.rollout.by_choice import make_ways
 from gns_pl.rollout.choice import Record
 from gns_pl.rollout.reduction import Reduction, reduce_scene
-from gns_pl.rollout.rest import Rest, SleepingStep
-from gns_pl.rollout.ways import LearnedWay, MPMWay, Way, start_of
+from gns_pl.rollout.ways import LearnedWay, MPMWay, Way
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict
 from gns_pl.trajectory import Trajectory
 
@@ -97,18 +95,6 @@ def errors(made: Trajectory, fine: Trajectory) -> dict[str, float]:
     }
 
 
-class Variant(LearnedWay):
-    """A learned way with sleeping particles."""
-
-    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory."""
-        less, simulator = self.reduced(scene), self.checkpoint.simulator
-        step = SleepingStep(simulator, self.rest_speed)
-        start = start_of(less.scene, self.checkpoint, seed, {})
-        made = rollout(simulator, start, self.size(scene)[1], step=step, rest=Rest(self.rest_speed))
-        return less.lift(made.resampled(interval, scene.duration))
-
-
 def timed(run: Callable[[], Trajectory], turns: int) -> tuple[Trajectory, float]:
     """Return the last result and the median time of warm runs; slow ones are warm after what was compiled for them."""
     began = time.perf_counter()
@@ -149,7 +135,9 @@ def main() -> None:
     own = {way.name for way in ways}
     simulators = [way for way in ways if isinstance(way, LearnedWay)]
     extra: list[Way] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in simulators]
-    extra += [Variant(f"{way.name}+sleep", way.path, args.rest_speed) for way in simulators]
+    extra += [
+        replace(way, name=f"{way.name}+sleep", rest_speed=args.rest_speed, sleep=args.rest_speed) for way in simulators
+    ]
     solvers = [way for way in ways if isinstance(way, MPMWay)]
     extra += [replace(way, name=f"{way.name} whole", reduces=False) for way in solvers[:3]]
     device = f"{platform.machine()} CPU"

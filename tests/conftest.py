@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,16 @@ from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 torch.set_num_threads(1)  # the tensors are small, and the machine may be busy
+
+MPM: dict[str, Any] = {
+    "points_per_direction": 2,
+    "courant": 0.5,
+    "transfer": "affine_flip",
+    "damping_rate": 20,
+    "bulk_viscosity": 0.86,
+    "jitter": 0.0,
+}
+"""Settings of a run but for its cells."""
 
 SAND = Material(density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30, cohesion=100)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.errors import InputError
@@ -15,18 +16,11 @@ from gns_pl.rollout.by_choice import make_ways, simulate_by_choice
 from gns_pl.rollout.choice import RECORDS, Record, choose, kind_of, read_records, table, weigh
 from gns_pl.rollout.ways import LearnedWay, MPMWay, characteristic_size
 from gns_pl.scene import FACES, Body, Plane, Scene, Wall, column_collapse
+from tests.conftest import MPM as mpm_settings
 from tests.conftest import SAND, make_simulator
 
 ROUGH, SLIP = Wall("friction", 0.385), Wall("slip")
-MPM = {
-    "points_per_direction": 2,
-    "courant": 0.5,
-    "transfer": "affine_flip",
-    "damping_rate": 20,
-    "bulk_viscosity": 0.86,
-    "jitter": 0.0,
-    "precision": "float32",
-}
+MPM = {**mpm_settings, "precision": "float32"}
 DATA = {
     "gravity": 9.81,
     "material": {
@@ -74,6 +68,14 @@ def test_a_scene_like_the_data_is_trusted_in_its_slice(learned: LearnedWay) -> N
     made = learned.run(scene, interval=0.004, seed=0)
     assert made.scene == scene and made.num_frames == 51
     assert made.mass.sum() == pytest.approx(1800 * 0.3 * 0.5 * 0.45, rel=1e-5)
+
+
+def test_a_run_that_stops_being_finite_ends_there(learned: LearnedWay) -> None:
+    torch.nn.init.constant_(learned.checkpoint.simulator.network.decoder[-1].bias, 1e30)
+    made = learned.run(column(), interval=0.004, seed=0)
+    assert "failed_at" in made.provenance and made.num_frames < 51
+    with pytest.raises(InputError, match="not in plane strain"):
+        learned.reduced(column(sides=ROUGH))
 
 
 @pytest.mark.parametrize(
@@ -186,8 +188,12 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "here, 1 threads" in said
     simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
     assert "is there whole" in capsys.readouterr().out
-    with pytest.raises(InputError, match="of another scene, way or seed"):
+    with pytest.raises(InputError, match="of another scene, way, frame interval or seed"):
         simulate_by_choice([column(1.2)], out=out, tolerance=0.2, **settings)
+    with pytest.raises(InputError, match="frame interval"):
+        simulate_by_choice([column()], out=out, tolerance=0.2, **settings | {"frame_interval": 0.1})
+    with pytest.raises(InputError, match="two scenes have the same name"):
+        simulate_by_choice([column(), column()], out=out, tolerance=0.2, **settings)
     assert simulate_by_choice([column()], out=tmp_path / "none", tolerance=None, **settings | {"explain": True}) == []
     assert not (tmp_path / "none").exists()
 

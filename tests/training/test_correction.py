@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from gns_pl.corrector import Corrector, CorrectorConfig, load_corrector
+from gns_pl.errors import InputError
 from gns_pl.generation.solver import run_solver
 from gns_pl.generation.thinning import thin_trajectory
 from gns_pl.rollout import static_of
 from gns_pl.rollout.correction import corrected_run, followed_run
 from gns_pl.rollout.ways import CorrectedWay
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
-from gns_pl.training.correction import CorrectionModule, fit_corrector, joined, make_examples, runout_errors
+from gns_pl.training.correction import CorrectionModule, fit_corrector, make_examples, runout_errors
 from gns_pl.trajectory import Trajectory
-from tests.conftest import SAND, make_static
+from tests.conftest import MPM, SAND
 
-MPM: dict[str, Any] = {
-    "points_per_direction": 2,
-    "courant": 0.5,
-    "transfer": "affine_flip",
-    "damping_rate": 20,
-    "bulk_viscosity": 0.86,
-    "jitter": 0.0,
-}
 CONFIG = CorrectorConfig(
     dim=2,
     interval=0.02,
@@ -98,8 +90,6 @@ def test_a_batch_of_scenes_gives_what_each_gives(fine: Trajectory) -> None:
         losses = [float(module.training_step([each])) for each in (first, second)]
         together = float(module.training_step([first, second]))
     assert together == pytest.approx(np.mean(losses), rel=1e-4)
-    statics = joined([make_static(5), make_static(7)])
-    assert statics.num_graphs == 2 and len(statics.batch) == 12
 
 
 def test_fitting_finds_what_a_coarse_run_misses(tmp_path: Path, fine: Trajectory) -> None:
@@ -159,3 +149,5 @@ def test_fitting_finds_what_a_coarse_run_misses(tmp_path: Path, fine: Trajectory
     with pytest.MonkeyPatch.context() as patch:  # a second run goes on from the first, which was finished
         patch.setattr(CorrectionModule, "training_step", lambda *_: pytest.fail("nothing is left to do"))
         assert fit_corrector(settings, tmp_path / "run") == path
+    with pytest.raises(InputError, match="holds a run of other settings"):
+        fit_corrector({**settings, "learning_rate": 1e-4}, tmp_path / "run")

@@ -93,7 +93,7 @@ class EncodeProcessDecode(nn.Module):
         """Return whether the kernels of `nn.fused` can make this pass."""
         width = cast(nn.Linear, self.decoder[0]).in_features
         able = self.compiled_edges and self.exchange is None and node.dtype == torch.float32
-        if not (able and width in FUSED_WIDTHS and edge_index.shape[1] and _has_triton()):
+        if not (able and width in FUSED_WIDTHS and edge_index.shape[1] and has_triton()):
             return False
         if torch.cuda.is_current_stream_capturing():
             return True  # whoever captures knows that they are sorted, and looking would wait
@@ -114,5 +114,6 @@ class EncodeProcessDecode(nn.Module):
 
 
 @functools.cache
-def _has_triton() -> bool:
+def has_triton() -> bool:
+    """Return whether the language of the kernels is there."""
     return importlib.util.find_spec("triton") is not None

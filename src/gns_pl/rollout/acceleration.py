@@ -6,7 +6,6 @@ Positions, their differences and the integration stay in float32 whatever the ne
 from __future__ import annotations
 
 import copy
-import importlib.util
 import math
 from typing import cast
 
@@ -16,7 +15,7 @@ from torch import Tensor, nn
 from gns_pl.errors import InputError
 from gns_pl.graph import NeighbourList, Static
 from gns_pl.nn import EncodeProcessDecode
-from gns_pl.nn.encode_process_decode import FUSED_WIDTHS
+from gns_pl.nn.encode_process_decode import FUSED_WIDTHS, has_triton
 from gns_pl.rollout.rest import SleepingStep
 from gns_pl.simulator import Simulator
 
@@ -86,7 +85,7 @@ def accelerate(
 
 def can_capture(simulator: Simulator) -> bool:
     """Return whether steps of a simulator can become CUDA graphs."""
-    on_gpu = simulator.velocity_scale.device.type == "cuda" and importlib.util.find_spec("triton") is not None
+    on_gpu = simulator.velocity_scale.device.type == "cuda" and has_triton()
     return on_gpu and simulator.config.latent_size in FUSED_WIDTHS
 
 

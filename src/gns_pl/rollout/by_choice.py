@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,6 +14,7 @@ from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory, write_trajectory
 from gns_pl.pretrained import find_checkpoint, find_corrector
 from gns_pl.rollout.choice import RECORDS, choose, kind_of, named, read_records, table, weigh
+from gns_pl.rollout.simulate import alone, prepare
 from gns_pl.rollout.ways import CorrectedWay, LearnedWay, MPMWay, Way, characteristic_size
 from gns_pl.scene import Scene
 
@@ -110,26 +112,31 @@ def simulate_by_choice(
         print(f"chosen: {chosen.way.name}, {why}{f'; {words}' if words else ''}", flush=True)
         if explain:
             continue
-        path = out / f"{scene.name}.h5"
-        identity = {"solver": chosen.way.name, "version": gns_pl.__version__, "seed": seed}
-        written.append(path)
-        if path.exists():
-            there = read_trajectory(path)
-            same = there.scene == scene and all(there.provenance.get(key) == value for key, value in identity.items())
-            if not same:
-                raise InputError(f"{path}: is of another scene, way or seed; remove it or choose another out=.")
-            print(f"{path}: is there whole")
-            continue
-        out.mkdir(parents=True, exist_ok=True)
-        began = time.perf_counter()
-        trajectory = chosen.way.run(scene, interval=frame_interval, seed=seed)
-        seconds = time.perf_counter() - began
-        rest = trajectory.provenance.get("at_rest_from")
-        write_trajectory(
-            path, replace(trajectory, provenance={**trajectory.provenance, **identity, "wall_seconds": seconds})
-        )
-        ended = f", at rest from {rest:.3g} s" if isinstance(rest, float) else ""
-        print(
-            f"{path}: {trajectory.num_frames} frames in {seconds:.2f} s, what is compiled at first use included{ended}"
-        )
+        prepare(out, scenes)
+        with alone(out):
+            written.append(_run(chosen.way, scene, out, frame_interval, seed))
     return written
+
+
+def _run(way: Way, scene: Scene, out: Path, interval: float, seed: int) -> Path:
+    """Run a scene into its file, unless that is there."""
+    path = out / f"{scene.name}.h5"
+    identity = {"solver": way.name, "version": gns_pl.__version__, "seed": seed}
+    if path.exists():
+        there = read_trajectory(path)
+        same = there.scene == scene and all(there.provenance.get(key) == value for key, value in identity.items())
+        if not same or not math.isclose(there.dt, interval, rel_tol=1e-6):
+            raise InputError(
+                f"{path}: is of another scene, way, frame interval or seed; remove it or choose another out=."
+            )
+        print(f"{path}: is there whole")
+        return path
+    began = time.perf_counter()
+    made = way.run(scene, interval=interval, seed=seed)
+    seconds = time.perf_counter() - began
+    write_trajectory(path, replace(made, provenance={**made.provenance, **identity, "wall_seconds": seconds}))
+    rest, failed = (made.provenance.get(key) for key in ("at_rest_from", "failed_at"))
+    ended = f", at rest from {rest:.3g} s" if isinstance(rest, float) else ""
+    ended = f", not finite from {failed:.3g} s on; ended there" if isinstance(failed, float) else ended
+    print(f"{path}: {made.num_frames} frames in {seconds:.2f} s, what is compiled at first use included{ended}")
+    return path

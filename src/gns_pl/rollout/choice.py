@@ -14,7 +14,7 @@ from pathlib import Path
 
 from gns_pl.errors import InputError
 from gns_pl.rollout.reduction import why_not_plane
-from gns_pl.rollout.ways import CorrectedWay, LearnedWay, Way
+from gns_pl.rollout.ways import FittedWay, Way
 from gns_pl.scene import Scene
 
 FINE_ERROR = 0.03
@@ -132,7 +132,7 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
     trusted = [each for each in options if each.reason is None and each.error is not None and each.seconds is not None]
     if not trusted:
         raise InputError("no way was measured on scenes of this kind; run benchmarks/reductions.py, or name a ckpt.")
-    learned = [each for each in options if isinstance(each.way, LearnedWay | CorrectedWay)]
+    learned = [each for each in options if isinstance(each.way, FittedWay)]
     beyond = ""
     if learned and all(each.reason is not None for each in learned):
         beyond = "the scene is beyond everything learned, so the material point method it is: "
@@ -150,13 +150,11 @@ def named(options: Sequence[Option], name: str) -> Option:
     """Return the option of a way that is asked for, whether it can be trusted or not.
 
     Raises:
-        InputError: there is no such way, or it cannot run the scene at all.
+        InputError: there is no such way.
     """
     found = next((each for each in options if each.way.name == name), None)
     if found is None:
         raise InputError(f"way: there is no {name}; there are {', '.join(each.way.name for each in options)}.")
-    if found.reason and ("dimensions" in found.reason or "plane strain" in found.reason):
-        raise InputError(f"way: {name} {found.reason}.")
     return found
 
 

@@ -130,7 +130,7 @@ def unroll(
             if len(scripted):
                 frames = [runs[number].start.position[runs[number].made + count] for number in active]
                 position = position.index_put((scripted,), _tensor(frames, device)[scripted])
-            before = torch.split(history[:, -1], lengths)
+            before = history[:, -1]
             history = torch.cat([history[:, 1:], position[:, None]], dim=1)
             parts = dict(zip(active, torch.split(position, lengths), strict=True))
             finite = parts
@@ -139,7 +139,7 @@ def unroll(
             yield finite
             going = [number for number in finite if runs[number].num_steps > count]
             if rest is not None:
-                last = dict(zip(active, before, strict=True))
+                last = dict(zip(active, torch.split(before, lengths), strict=True))
                 dt = simulator.config.dt
                 going = [number for number in going if not rest.reached(number, last[number], finite[number], dt)]
         histories = dict(zip(active, torch.split(history, lengths), strict=True))

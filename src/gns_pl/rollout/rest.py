@@ -109,10 +109,10 @@ class _Awake(nn.Module):
     def __init__(self, network: nn.Module, step: SleepingStep) -> None:
         super().__init__()
         self.network = network
-        self.__dict__["step"] = step  # no module of mine
+        self.step = step
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
-        reached: Tensor = self.__dict__["step"].reached
+        reached = self.step.reached
         if bool(reached.all()):
             return cast(Tensor, self.network(node, edge, edge_index))
         kept = reached[edge_index[1]]

@@ -139,13 +139,7 @@ def simulate(
     """
     checkpoint_path = find_checkpoint(checkpoint_path)
     checkpoint = load_checkpoint(checkpoint_path)
-    names = [scene.name for scene in scenes]
-    if len(set(names)) < len(names):
-        raise InputError(f"two scenes have the same name among {', '.join(names)}, and it names their files.")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{out}: cannot be made ({error.strerror}).") from error
+    prepare(out, scenes)
     identity = {
         "solver": "gns_pl.rollout",
         "version": gns_pl.__version__,
@@ -157,7 +151,7 @@ def simulate(
         scenes = [scene.replace(duration=duration) for scene in scenes]
     move(checkpoint, device, "device")
     simulator = accelerate(checkpoint.simulator, **(acceleration or {}))
-    with processes(simulator.velocity_scale.device) as (rank, size), _alone(out) if rank == 0 else nullcontext():
+    with processes(simulator.velocity_scale.device) as (rank, size), alone(out) if rank == 0 else nullcontext():
         meet()  # so that nobody looks at files another run is still writing
         starts = [start_of(scene, checkpoint, seed, identity) for scene in scenes]
         length = simulator.config.input_sequence_length
@@ -266,8 +260,24 @@ def _write(
     print(f"{made} steps in {seconds:.1f} s: {made / seconds:.3g} steps/s, {made * dt / seconds:.3g} simulated s/s")
 
 
+def prepare(out: Path, scenes: Sequence[Scene]) -> None:
+    """Make the folder of scenes' files.
+
+    Raises:
+        InputError: two scenes of one name.
+        StorageError: it cannot be made.
+    """
+    names = [scene.name for scene in scenes]
+    if len(set(names)) < len(names):
+        raise InputError(f"two scenes have the same name among {', '.join(names)}, and it names their files.")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{out}: cannot be made ({error.strerror}).") from error
+
+
 @contextmanager
-def _alone(out: Path) -> Iterator[None]:
+def alone(out: Path) -> Iterator[None]:
     """Be the only run that writes into a folder."""
     with locked(out / ".simulate.lock", on_wait=lambda: print(f"{out}: another run is writing here; waiting for it")):
         yield

@@ -17,8 +17,10 @@ import numpy as np
 
 from gns_pl.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.corrector import CorrectorFile, load_corrector
+from gns_pl.errors import InputError
 from gns_pl.generation import chosen_every, solver
 from gns_pl.pretrained import find_corrector
+from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.correction import corrected_run
 from gns_pl.rollout.engine import rollout
 from gns_pl.rollout.reduction import Reduction, reduce_scene, to_plane, why_not_plane
@@ -113,54 +115,107 @@ class MPMWay:
         return less.lift(made)
 
 
-@dataclass(frozen=True)
-class LearnedWay:
-    """A learned simulator; one of two dimensions takes scenes in plane strain.
+class FittedWay:
+    """What is the same for all that learned from data: one of two dimensions takes scenes in plane strain.
 
     Attributes:
-        name: of the way.
-        path: of the checkpoint, or the name of one that comes with the package.
-        rest_speed: a run ends when every particle is slower [m/s]; 0 makes all its steps.
+        dim: D of what it learned.
+        spacing: of its particles [m].
+        interval: time of its steps [s].
+        data: the specification of its data, as in conf/data/.
     """
 
-    name: str
-    path: str | Path
-    rest_speed: float = 0.0
-
-    @cached_property
-    def checkpoint(self) -> Checkpoint:
-        """The checkpoint, read when first needed."""
-        return load_checkpoint(self.path)
+    dim: int
+    spacing: float
+    interval: float
+    data: Mapping[str, Any]
 
     def why_not(self, scene: Scene) -> str | None:
-        """Return what of a scene was not in the simulator's data, or None."""
-        return _why_not(scene, self.checkpoint.simulator.config.dim, self.checkpoint.data)
+        """Return what of a scene was not in the data, or None."""
+        if self.dim == 2 and scene.dim == 3:
+            reasons = [why_not_plane(scene, axis) for axis in (1, 0)]
+            if None not in reasons:
+                return f"is of plane strain, and the scene is not: {reasons[0]}"
+        elif self.dim != scene.dim:
+            return f"has {self.dim} dimensions, the scene {scene.dim}"
+        return next(_beyond(self.reduced(scene).scene, self.data), None)
 
     def reduced(self, scene: Scene) -> Reduction:
-        """Return the scene's slice for a simulator of two dimensions, else the scene itself."""
-        return _reduced(scene, self.checkpoint.simulator.config.dim)
+        """Return the scene's slice where two dimensions are wanted, else the scene itself.
+
+        Raises:
+            InputError: it cannot be run at all.
+        """
+        if self.dim == 2 and scene.dim == 3:
+            return to_plane(scene, next((axis for axis in (1, 0) if why_not_plane(scene, axis) is None), 1))
+        if self.dim != scene.dim:
+            raise InputError(f"scene {scene.name!r} has {scene.dim} dimensions, what was learned {self.dim}.")
+        return Reduction(scene, lambda trajectory: trajectory, "")
 
     def size(self, scene: Scene) -> tuple[int, int]:
         """Return the numbers of particles and of steps."""
-        config = self.checkpoint.simulator.config
-        return _size(self.reduced(scene).scene, config.spacing, config.dt)
+        less = self.reduced(scene).scene
+        volume = sum(math.prod(body.size) for body in less.bodies)
+        return round(volume / self.spacing**less.dim), math.ceil(less.duration / self.interval - 1e-6)
 
     def work(self, scene: Scene) -> float:
         """Return (particles + overhead) × steps."""
         particles, steps = self.size(scene)
         return float((particles + OVERHEAD) * steps)
 
+
+@dataclass(frozen=True)
+class LearnedWay(FittedWay):
+    """A learned simulator.
+
+    Attributes:
+        name: of the way.
+        path: of the checkpoint, or the name of one that comes with the package.
+        rest_speed: a run ends when every particle is slower [m/s]; 0 makes all its steps.
+        sleep: particles slower than this sleep [m/s] (`accelerate`).
+    """
+
+    name: str
+    path: str | Path
+    rest_speed: float = 0.0
+    sleep: float = 0.0
+
+    @cached_property
+    def checkpoint(self) -> Checkpoint:
+        """The checkpoint, read when first needed."""
+        return load_checkpoint(self.path)
+
+    @property
+    def dim(self) -> int:  # type: ignore[override]
+        """D."""
+        return self.checkpoint.simulator.config.dim
+
+    @property
+    def spacing(self) -> float:  # type: ignore[override]
+        """Of the particles [m]."""
+        return self.checkpoint.simulator.config.spacing
+
+    @property
+    def interval(self) -> float:  # type: ignore[override]
+        """Time of a step [s]."""
+        return self.checkpoint.simulator.config.dt
+
+    @property
+    def data(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """The specification of the data."""
+        return self.checkpoint.data
+
     def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory; arguments as those of `Way`."""
-        less, simulator = self.reduced(scene), self.checkpoint.simulator
+        """Return the trajectory; arguments as those of `Way`. One that stops being finite ends there."""
+        less, simulator = self.reduced(scene), accelerate(self.checkpoint.simulator, sleep=self.sleep)
         start = start_of(less.scene, self.checkpoint, seed, {})
         rest = Rest(self.rest_speed) if self.rest_speed else None
         made = rollout(simulator, start, self.size(scene)[1], rest=rest)
-        return less.lift(made.resampled(interval, scene.duration))
+        return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
 
 
 @dataclass(frozen=True)
-class CorrectedWay:
+class CorrectedWay(FittedWay):
     """Coarse MPM, corrected by a network.
 
     Attributes:
@@ -176,53 +231,33 @@ class CorrectedWay:
         """The corrector's file, read when first needed."""
         return load_corrector(find_corrector(self.path))
 
-    def why_not(self, scene: Scene) -> str | None:
-        """Return what of a scene was not in the corrector's data, or None."""
-        return _why_not(scene, self.file.corrector.config.dim, self.file.data)
+    @property
+    def dim(self) -> int:  # type: ignore[override]
+        """D."""
+        return self.file.corrector.config.dim
 
-    def reduced(self, scene: Scene) -> Reduction:
-        """Return the scene's slice for a corrector of two dimensions, else the scene itself."""
-        return _reduced(scene, self.file.corrector.config.dim)
+    @property
+    def spacing(self) -> float:  # type: ignore[override]
+        """Of the points [m]."""
+        return self.file.corrector.config.spacing
 
-    def size(self, scene: Scene) -> tuple[int, int]:
-        """Return the numbers of points and of corrections."""
-        config = self.file.corrector.config
-        return _size(self.reduced(scene).scene, config.spacing, config.interval)
+    @property
+    def interval(self) -> float:  # type: ignore[override]
+        """Time between corrections [s]."""
+        return self.file.corrector.config.interval
 
-    def work(self, scene: Scene) -> float:
-        """Return (points + overhead) × corrections."""
-        particles, steps = self.size(scene)
-        return float((particles + OVERHEAD) * steps)
+    @property
+    def data(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """The specification of the data."""
+        return self.file.data
 
     def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
         """Return the trajectory; arguments as those of `Way`."""
-        less, corrector = self.reduced(scene), self.file.corrector
-        config = corrector.config
-        particles = _filled(less.scene, config.spacing, self.file.data, seed)
-        start = start_trajectory(less.scene, particles, config.interval, {})
-        made = corrected_run(corrector, start, self.size(scene)[1])
+        less = self.reduced(scene)
+        particles = _filled(less.scene, self.spacing, self.data, seed)
+        start = start_trajectory(less.scene, particles, self.interval, {})
+        made = corrected_run(self.file.corrector, start, self.size(scene)[1])
         return less.lift(made.resampled(interval, scene.duration))
-
-
-def _why_not(scene: Scene, dim: int, data: Mapping[str, Any]) -> str | None:
-    if dim == 2 and scene.dim == 3:
-        reasons = [why_not_plane(scene, axis) for axis in (1, 0)]
-        if None not in reasons:
-            return f"is of plane strain, and the scene is not: {reasons[0]}"
-    elif dim != scene.dim:
-        return f"has {dim} dimensions, the scene {scene.dim}"
-    return next(_beyond(_reduced(scene, dim).scene, data), None)
-
-
-def _reduced(scene: Scene, dim: int) -> Reduction:
-    if dim == 2 and scene.dim == 3:
-        return to_plane(scene, 1 if why_not_plane(scene, 1) is None else 0)
-    return Reduction(scene, lambda trajectory: trajectory, "")
-
-
-def _size(scene: Scene, spacing: float, dt: float) -> tuple[int, int]:
-    volume = sum(math.prod(body.size) for body in scene.bodies)
-    return round(volume / spacing**scene.dim), math.ceil(scene.duration / dt - 1e-6)
 
 
 def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mapping[str, object]) -> Trajectory:

@@ -8,6 +8,7 @@ are made as often, and the weights with which their runouts were nearest to the 
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -27,7 +28,7 @@ from gns_pl.corrector import Corrector, CorrectorConfig, CorrectorFile, save_cor
 from gns_pl.errors import InputError
 from gns_pl.evaluation.curves import compute_curves
 from gns_pl.generation import chosen_every, generate_dataset
-from gns_pl.graph import Static
+from gns_pl.generation.lock import locked
 from gns_pl.io import manifest_sha256, read_manifest, read_trajectory
 from gns_pl.mpm import SimulationError
 from gns_pl.rollout import static_of
@@ -54,6 +55,8 @@ LEAST_RUNOUT = 0.5
 DECAY = 0.998
 """Of the moving average of the weights, each step."""
 
+SETTINGS = "correction_settings"
+
 Example = tuple[int, tuple[Tensor, Tensor, Tensor, Tensor]]
 
 
@@ -69,6 +72,9 @@ class CorrectionModule(lightning.LightningModule):
         catch_up: of the runs that are learned from (`followed_run`).
         renewed: part of the runs that is made anew in an epoch.
         jitter: of the placements that are judged (`runout_errors`).
+
+    Attributes:
+        settings: in words, of which run its checkpoints are.
     """
 
     def __init__(
@@ -87,16 +93,16 @@ class CorrectionModule(lightning.LightningModule):
         self.corrector, self.fine, self.valid = corrector, fine, valid
         self.learning_rate, self.num_steps, self.renewed = learning_rate, num_steps, renewed
         self.jitter, self.catch_up = jitter, catch_up
+        self.settings = ""
         self.average = AveragedModel(corrector, avg_fn=moving_average)
         self.examples: list[list[Example]] = [
             make_examples(number, each, corrector, share=SHARES[number % len(SHARES)], catch_up=catch_up)
             for number, each in enumerate(fine)
         ]
-        self._static = [static_of(each) for each in fine]
 
     def training_step(self, batch: list[Example]) -> Tensor:
         """Return the loss of some examples."""
-        static = joined([self._static[number] for number, _ in batch])
+        static = static_of(*(self.fine[number] for number, _ in batch))
         before, position, predicted, wanted = (torch.cat([each[k] for _, each in batch]) for k in range(4))
         missed = self.corrector(before, position, predicted, static) - wanted
         loss: Tensor = (missed / self.corrector.correction_scale).square().mean()
@@ -129,6 +135,10 @@ class CorrectionModule(lightning.LightningModule):
                     number, self.fine[number], self.averaged, catch_up=self.catch_up, trust=trust
                 )
 
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Store what the run was made with, so that no other goes on with it."""
+        checkpoint[SETTINGS] = self.settings
+
     def configure_optimizers(self) -> Any:
         """Return AdamW with a one-cycle learning rate."""
         optimiser = torch.optim.AdamW(self.corrector.parameters(), lr=self.learning_rate)
@@ -140,14 +150,6 @@ def moving_average(average: Tensor, now: Tensor, count: Tensor | int) -> Tensor:
     """Return the moving average with one more value; it forgets the first weights faster than later ones."""
     forget = max(1 - DECAY, 9 / (10 + int(count)))
     return average + forget * (now - average)
-
-
-def joined(statics: Sequence[Static]) -> Static:
-    """Return several scenes' constants as those of one batch."""
-    names = ("particle_type", "material", "volume", "lower", "upper", "gravity")
-    numbers = torch.tensor([len(each.batch) for each in statics])
-    batch = torch.arange(len(statics)).repeat_interleave(numbers)
-    return Static(**{name: torch.cat([getattr(each, name) for each in statics]) for name in names}, batch=batch)
 
 
 def runout_errors(corrector: Corrector, fine: Sequence[Trajectory], jitter: float = 0.0) -> list[float]:
@@ -231,7 +233,7 @@ def correction_config(cfg: DictConfig) -> Path:
 def fit_corrector(settings: Mapping[str, Any], output: Path) -> Path:
     """Fit a corrector and write its file.
 
-    A run that was broken off goes on from its last validation.
+    A run that was broken off goes on from its last validation; one run works in a folder at a time.
 
     Args:
         settings: as conf/correction.yaml.
@@ -241,8 +243,14 @@ def fit_corrector(settings: Mapping[str, Any], output: Path) -> Path:
         The corrector's file.
 
     Raises:
-        InputError: settings or data that cannot be used.
+        InputError: settings or data that cannot be used, or a folder that holds a run of others.
     """
+    output.mkdir(parents=True, exist_ok=True)
+    with locked(output / ".lock", on_wait=lambda: print(f"{output}: another run works here; waiting for it")):
+        return _fit(settings, output)
+
+
+def _fit(settings: Mapping[str, Any], output: Path) -> Path:
     quieten()
     lightning.seed_everything(settings["seed"], verbose=False)
     directory = generate_dataset(settings["data"], device="auto")
@@ -272,6 +280,7 @@ def fit_corrector(settings: Mapping[str, Any], output: Path) -> Path:
         renewed=float(settings["renewed"]),
         jitter=float(settings["data"]["mpm"]["jitter"]) / chosen_every(settings["data"]),
     )
+    module.settings = json.dumps(settings, sort_keys=True)
     for corrector in (module.corrector, module.averaged):
         set_scales(corrector, [each for run in module.examples for each in run])
     data = Examples(module, every * size)
@@ -294,6 +303,10 @@ def fit_corrector(settings: Mapping[str, Any], output: Path) -> Path:
     parameters = sum(each.numel() for each in module.corrector.parameters())
     print(f"{parameters:,} parameters, {number:,} steps, into {output}", flush=True)
     last = output / "last.ckpt"
+    if last.exists():
+        made_with = torch.load(last, map_location="cpu", weights_only=True).get(SETTINGS)
+        if made_with != module.settings:
+            raise InputError(f"{output}: holds a run of other settings; remove it or choose another hydra.run.dir=.")
     trainer.fit(module, loader, ckpt_path=last if last.exists() else None, weights_only=True)
     state = torch.load(best.best_model_path, map_location="cpu", weights_only=True)
     prefix = "average.module."
