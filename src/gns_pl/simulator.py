@@ -16,9 +16,9 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
-from gns_pl.nn import EncodeProcessDecode
+from gns_pl.nn import EncodeProcessDecode, PairNetwork
 
-OUTPUTS = ("acceleration", "gated", "held")
+OUTPUTS = ("acceleration", "gated", "held", "pairs")
 AGGREGATIONS = ("sum", "mean")
 
 
@@ -39,7 +39,9 @@ class SimulatorConfig:
         num_message_passing_steps: number of interaction networks.
         output: "acceleration": the network gives (a − g) / scale. "gated": it gives a gate s in (0, 1) per axis and an
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
-            "held": v' = s (v + g Δt + u), so that s = 0 alone is rest, whatever u is.
+            "held": v' = s (v + g Δt + u), so that s = 0 alone is rest, whatever u is. "pairs": one message per pair of
+            particles instead of two (`nn.pairs`); a − g is a sum of forces that are equal and opposite at both ends,
+            and near a wall that of the wall, so particles of equal mass keep their momentum where no wall is.
         context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
         aggregation: of the messages at a particle, "sum" or "mean".
@@ -83,6 +85,11 @@ class SimulatorConfig:
             raise InputError(f"model.output must be one of {', '.join(OUTPUTS)}, not {self.output!r}.")
         if self.aggregation not in AGGREGATIONS:
             raise InputError(f"model.aggregation must be one of {', '.join(AGGREGATIONS)}, not {self.aggregation!r}.")
+        odd = self.aggregation != "sum" or self.static_edges or self.num_message_passing_steps < 1
+        if self.output == "pairs" and odd:
+            raise InputError(
+                "model.output=pairs sums its messages: aggregation=sum, static_edges=false, one step at least."
+            )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SimulatorConfig:
@@ -127,22 +134,27 @@ class Simulator(nn.Module):
         self.register_buffer("velocity_scale", torch.ones(()))
         self.register_buffer("acceleration_scale", torch.ones(()))
         self.register_buffer("material_scale", torch.stack([torch.zeros(features), torch.ones(features)]))
-        self.network = EncodeProcessDecode(
-            node_width=node_width(
+        shape: dict[str, Any] = {
+            "node_width": node_width(
                 dim=config.dim,
                 input_sequence_length=config.input_sequence_length,
                 num_particle_types=len(config.particle_types),
                 num_material_features=features,
                 context=config.context,
             ),
-            edge_width=edge_width(config.dim),
-            output_width=config.dim * (1 if config.output == "acceleration" else 2),
-            latent_size=config.latent_size,
-            num_mlp_layers=config.num_mlp_layers,
-            num_message_passing_steps=config.num_message_passing_steps,
-            aggregation=config.aggregation,
-            static_edges=config.static_edges,
-        )
+            "edge_width": edge_width(config.dim),
+            "output_width": config.dim * (1 if config.output == "acceleration" else 2),
+            "latent_size": config.latent_size,
+            "num_mlp_layers": config.num_mlp_layers,
+            "num_message_passing_steps": config.num_message_passing_steps,
+        }
+        self.network: EncodeProcessDecode | PairNetwork
+        if config.output == "pairs":
+            self.network = PairNetwork(**shape)
+        else:
+            self.network = EncodeProcessDecode(
+                **shape, aggregation=config.aggregation, static_edges=config.static_edges
+            )
 
     def set_statistics(self, *, velocity: float, acceleration: float, material: Tensor) -> None:
         """Set the normalisation.
@@ -195,7 +207,10 @@ class Simulator(nn.Module):
         )
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = self.network(node, edge, edge_index)
-        if config.output != "acceleration":
+        if config.output == "pairs":
+            output, of_walls = output.chunk(2, dim=1)
+            output = output + torch.where(self._at_wall(position, static)[:, None], of_walls, 0.0)
+        elif config.output != "acceleration":
             increment, gate = output.chunk(2, dim=1)
             falling = velocity[:, -1] / config.dt + static.of_particles(static.gravity)  # (v + g Δt) / Δt
             if config.output == "held":
@@ -205,13 +220,17 @@ class Simulator(nn.Module):
 
     def _in_contact(self, position: Tensor, edge_index: Tensor, static: Static) -> Tensor:
         """Return which particles have a neighbour or a wall within the connectivity radius [N] bool."""
-        radius = self.config.connectivity_radius
-        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
-        contact = ((position - lower < radius) | (upper - position < radius)).any(dim=1)
+        contact = self._at_wall(position, static)
         sender, receiver = edge_index
         met = contact.new_zeros(len(contact) + 1)
         met.index_fill_(0, torch.where(sender == receiver, len(contact), receiver), True)  # a node itself is padding
         return contact | met[:-1]
+
+    def _at_wall(self, position: Tensor, static: Static) -> Tensor:
+        """Return which particles have a wall within the connectivity radius [N] bool."""
+        radius = self.config.connectivity_radius
+        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
+        return ((position - lower < radius) | (upper - position < radius)).any(dim=1)
 
     def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:
         """Return the normalised a − g that carries `history` to `next_position` in one step [N, D].

@@ -60,9 +60,12 @@ def accelerate(
         raise InputError(f"acceleration.sleep must be a speed of 0 or more, not {sleep}.")
     if captured and (skin or compiled or sleep):
         raise InputError("acceleration.captured stands alone: with skin=0, sleep=0 and compiled=false.")
+    if sleep and simulator.config.output == "pairs":
+        raise InputError("acceleration.sleep takes messages from one end of a pair, and output=pairs has one for both.")
     if captured and not can_capture(simulator):
         raise InputError(
-            f"acceleration.captured needs a GPU with Triton, and a latent_size of {', '.join(map(str, FUSED_WIDTHS))}."
+            f"acceleration.captured needs a GPU with Triton, a latent_size of {', '.join(map(str, FUSED_WIDTHS))}, and "
+            "another output than pairs."
         )
     fast = copy.copy(simulator)
     fast._modules = dict(simulator._modules)  # else it would share the table of modules, and the other's network change
@@ -86,7 +89,7 @@ def accelerate(
 def can_capture(simulator: Simulator) -> bool:
     """Return whether steps of a simulator can become CUDA graphs."""
     on_gpu = simulator.velocity_scale.device.type == "cuda" and has_triton()
-    return on_gpu and simulator.config.latent_size in FUSED_WIDTHS
+    return on_gpu and simulator.config.latent_size in FUSED_WIDTHS and simulator.config.output != "pairs"
 
 
 class CapturedStep:

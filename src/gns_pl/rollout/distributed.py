@@ -18,6 +18,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
+from gns_pl.errors import InputError
 from gns_pl.graph import Static, radius_graph
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.simulator import Simulator
@@ -71,6 +72,9 @@ class SlabSimulator:
     Args:
         simulator: stays as it is.
         group: of processes; all there are if None.
+
+    Raises:
+        InputError: a simulator whose messages belong to both ends.
     """
 
     def __init__(self, simulator: Simulator, group: dist.ProcessGroup | None = None) -> None:
@@ -78,6 +82,8 @@ class SlabSimulator:
         self.slab: Slab | None = None
         self.simulator = copy.copy(simulator)
         network = copy.copy(simulator.network)
+        if not isinstance(network, EncodeProcessDecode):
+            raise InputError("several processes share the edges of a run by their receivers; output=pairs has no such.")
         network.exchange = self._exchange
         self.simulator._modules = {**simulator._modules, "network": _Local(network, lambda: self._current)}
         self.simulator.search = self._search

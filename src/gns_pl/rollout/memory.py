@@ -54,7 +54,8 @@ def check_memory(simulator: Simulator, runs: list[Run], share: float = 1.0) -> s
     position = torch.cat([history_of(run, config)[:, -1] for run in runs])
     radius, graphs = config.connectivity_radius, static.num_graphs
     edges = radius_graph(position, radius, static.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
-    needed = estimate_bytes(config, len(position), int(ROOM * edges), in_blocks=device.type == "cpu")
+    blocks = device.type == "cpu" and config.output != "pairs"
+    needed = estimate_bytes(config, len(position), int(ROOM * edges), in_blocks=blocks)
     needed = int(share * needed)
     free = _free_bytes(device)
     said = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"

@@ -16,6 +16,7 @@ from gns_pl.evaluation.metrics import rollout_errors
 from gns_pl.graph import Draws, Static
 from gns_pl.rollout import rollout
 from gns_pl.simulator import Simulator, SimulatorConfig
+from gns_pl.training.distillation import Elder
 from gns_pl.training.optimiser import MuonAndAdamW
 from gns_pl.training.perturbation import Perturbation
 from gns_pl.training.symmetry import sample_symmetry
@@ -56,6 +57,7 @@ class SimulatorModule(LightningModule):
         particles_per_window: mean number of moved particles of a window of the training set.
         seed: of the noise.
         provenance: stored in the checkpoint.
+        elder: a larger simulator that has a part in the targets; None for none.
     """
 
     def __init__(
@@ -68,9 +70,10 @@ class SimulatorModule(LightningModule):
         particles_per_window: float,
         seed: int,
         provenance: dict[str, Any],
+        elder: Elder | None = None,
     ) -> None:
         super().__init__()
-        self.save_hyperparameters(logger=False)
+        self.save_hyperparameters(logger=False, ignore=["elder"])
         self.simulator = Simulator(SimulatorConfig.from_dict(model))
         self.perturb = Perturbation(**perturbation)
         self.optimisation = optimisation
@@ -78,6 +81,7 @@ class SimulatorModule(LightningModule):
         self.particles_per_window = particles_per_window
         self.seed = seed
         self.provenance = provenance
+        self.elder = elder
 
     def training_step(self, batch: Data, batch_index: int) -> dict[str, Tensor]:
         """Return "loss", that of this process's windows, and "joined", that of all processes' windows."""
@@ -121,7 +125,14 @@ class SimulatorModule(LightningModule):
             return cast(Tensor, total / parts)
 
         return unrolled_loss(
-            self.simulator, history, goal, future, static, restore=self.perturb.restore, loss=difference
+            self.simulator,
+            history,
+            goal,
+            future,
+            static,
+            restore=self.perturb.restore,
+            loss=difference,
+            elder=self.elder,
         )
 
     def _unrolled(self, step: int) -> int:

@@ -33,6 +33,7 @@ from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
 from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
+from gns_pl.training.distillation import Elder
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
 
@@ -229,14 +230,18 @@ def build_module(
         "particle_types": list(manifest.particle_types),
         "material_features": choose_features(settings["model"]["material_features"], manifest.material_features),
     }
+    model, elder = {**settings["model"], **of_data}, None
+    if training.distil_from is not None:
+        elder = Elder.read(training.distil_from, training.distil_share, SimulatorConfig.from_dict(model))
     module = SimulatorModule(
-        model={**settings["model"], **of_data},
+        model=model,
         data=settings["data"],
         optimisation=vars(training.optimisation),
         perturbation=vars(training.perturbation),
         particles_per_window=datamodule.train_set.mean_moved_particles(),
         seed=settings["seed"],
         provenance=provenance(settings, datamodule.directory),
+        elder=elder,
     )
     if training.stride == 1:
         moments = manifest.statistics
