@@ -36,8 +36,9 @@ from gns_pl.evaluation.measures import characteristic_time, deposit_profile, par
 from gns_pl.generation.reference import reference_trajectory
 from gns_pl.rollout.by_choice import make_ways
 from gns_pl.rollout.choice import Record
+from gns_pl.rollout.fitted import LearnedWay
 from gns_pl.rollout.reduction import Reduction, reduce_scene
-from gns_pl.rollout.ways import LearnedWay, MPMWay, Way
+from gns_pl.rollout.ways import MPMWay, Way
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict
 from gns_pl.trajectory import Trajectory
 
@@ -131,9 +132,9 @@ def main() -> None:
     choice, paper = config["choice"], config["paper"]
     learned = choice["learned"] if args.learned is None else args.learned
     corrected = choice["corrected"] if args.corrected is None else args.corrected
-    ways = make_ways(learned, corrected, choice["cells"], choice["mpm"])
+    ways = make_ways(learned, corrected, choice["handed"], choice["cells"], choice["mpm"])
     own = {way.name for way in ways}
-    simulators = [way for way in ways if isinstance(way, LearnedWay)]
+    simulators = [way for way in ways if type(way) is LearnedWay]
     extra: list[Way] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in simulators]
     extra += [
         replace(way, name=f"{way.name}+sleep", rest_speed=args.rest_speed, sleep=args.rest_speed) for way in simulators

@@ -14,7 +14,8 @@ from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
 from gns_pl.rollout.by_choice import make_ways, simulate_by_choice
 from gns_pl.rollout.choice import RECORDS, Record, choose, kind_of, read_records, table, weigh
-from gns_pl.rollout.ways import LearnedWay, MPMWay, characteristic_size
+from gns_pl.rollout.fitted import HandedWay, LearnedWay
+from gns_pl.rollout.ways import MPMWay, characteristic_size
 from gns_pl.scene import FACES, Body, Plane, Scene, Wall, column_collapse
 from tests.conftest import MPM as mpm_settings
 from tests.conftest import SAND, make_simulator
@@ -173,6 +174,7 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
         "seed": 0,
         "learned": [],
         "corrected": [],
+        "handed": {},
         "way": None,
         "cells": [5],
         "mpm": MPM,
@@ -206,4 +208,8 @@ def test_the_packages_records_are_of_its_ways() -> None:
     with pytest.raises(InputError, match="is no table"):
         read_records(Path("nowhere.csv"))
     with pytest.raises(InputError, match=r"there is no checkpoint nothing\.ckpt"):
-        make_ways(["nothing.ckpt"], [], [], MPM)
+        make_ways(["nothing.ckpt"], [], {}, [], MPM)
+    with pytest.raises(InputError, match=r"choice\.handed\.x: needs finer, first, learned, until, not learned"):
+        make_ways([], [], {"x": {"learned": "collapse_plane"}}, [], MPM)
+    (way,) = make_ways([], [], {"x": {"learned": "collapse_plane", "first": "mpm", "until": 1, "finer": 2}}, [], MPM)
+    assert isinstance(way, HandedWay) and way.settings["cell_size"] == pytest.approx(1 / 32)

@@ -14,7 +14,7 @@ from gns_pl.generation.solver import run_solver
 from gns_pl.generation.thinning import thin_trajectory
 from gns_pl.rollout import static_of
 from gns_pl.rollout.correction import corrected_run, followed_run
-from gns_pl.rollout.ways import CorrectedWay
+from gns_pl.rollout.fitted import CorrectedWay
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.training.correction import CorrectionModule, fit_corrector, make_examples, runout_errors
 from gns_pl.trajectory import Trajectory

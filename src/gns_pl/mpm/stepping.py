@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -41,6 +42,15 @@ class SteppedRun:
         """Of the points [N, D] [m/s]."""
         return np.asarray(self._state[1][:, list(self.plan.grid.axes)], dtype=np.float64)
 
+    @property
+    def stress(self) -> NDArray[np.float64]:
+        """Deviator and signed pressure of the points [N, 7] [Pa]: xx, yy, zz, xy, yz, zx, pressure."""
+        return np.asarray(self._state[3], dtype=np.float64)
+
+    @stress.setter
+    def stress(self, value: NDArray[np.float64]) -> None:
+        self._state[3][:] = value
+
     def advance(self) -> None:
         """Go on to the next frame.
 
@@ -61,3 +71,24 @@ class SteppedRun:
         """
         for number, axis in enumerate(self.plan.grid.axes):
             self._state[1][:, axis] += velocity[:, number]
+
+
+def geostatic_stress(scene: Scene, particles: Particles, load: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the stress of material that carries a load below a level surface, as `SteppedRun.stress` [N, 7] [Pa].
+
+    σ_zz = −load and σ_xx = σ_yy = K σ_zz, with the larger K of two: that of elastic material that cannot spread,
+    ν / (1 − ν), and the least that the solver's yield condition √J2 = sin φ p allows, (√3 − sin φ) / (√3 + 2 sin φ).
+
+    Args:
+        scene: its materials.
+        particles: the points.
+        load: what each point carries; negative ones count as none [N] [Pa].
+    """
+    materials = list(scene.materials.values())
+    sine = np.array([math.sin(math.radians(each.friction_angle_deg)) for each in materials])
+    elastic = np.array([each.poisson_ratio / (1 - each.poisson_ratio) for each in materials])
+    ratio = np.maximum(elastic, (math.sqrt(3) - sine) / (math.sqrt(3) + 2 * sine))[particles.material_name]
+    vertical = np.maximum(load, 0.0)
+    pressure = vertical * (1 + 2 * ratio) / 3
+    across, nothing = pressure - ratio * vertical, np.zeros_like(pressure)
+    return np.stack([across, across, pressure - vertical, nothing, nothing, nothing, pressure], axis=1)

@@ -14,14 +14,16 @@ from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory, write_trajectory
 from gns_pl.pretrained import find_checkpoint, find_corrector
 from gns_pl.rollout.choice import RECORDS, choose, kind_of, named, read_records, table, weigh
+from gns_pl.rollout.fitted import CorrectedWay, HandedWay, LearnedWay
 from gns_pl.rollout.simulate import alone, prepare
-from gns_pl.rollout.ways import CorrectedWay, LearnedWay, MPMWay, Way, characteristic_size
+from gns_pl.rollout.ways import MPMWay, Way, characteristic_size
 from gns_pl.scene import Scene
 
 
 def make_ways(
     learned: Sequence[str],
     corrected: Sequence[str],
+    handed: Mapping[str, Mapping[str, Any]],
     cells: Sequence[float],
     mpm: Mapping[str, Any],
     rest_speed: float = 0.0,
@@ -31,6 +33,7 @@ def make_ways(
     Args:
         learned: checkpoints.
         corrected: correctors of coarse MPM.
+        handed: name → {learned, first, until, finer}, as `HandedWay`.
         cells: of MPM, over √(L0 H0).
         mpm: its settings.
         rest_speed: at which learned runs end [m/s]; 0 for never.
@@ -39,14 +42,20 @@ def make_ways(
         InputError: no such checkpoint.
     """
     ways: list[Way] = []
-    for name in learned:
+    for name in [*learned, *(str(each.get("learned")) for each in handed.values())]:
         if not find_checkpoint(name).is_file():
             raise InputError(f"choice.learned: there is no checkpoint {name}.")
+    for name in learned:
         ways.append(LearnedWay(Path(name).stem, name, rest_speed))
     for name in corrected:
         if not find_corrector(name).is_file():
             raise InputError(f"choice.corrected: there is no corrector {name}.")
         ways.append(CorrectedWay(Path(name).stem, name))
+    for name, each in handed.items():
+        keys = {"learned", "first", "until", "finer"}
+        if set(each) != keys:
+            raise InputError(f"choice.handed.{name}: needs {', '.join(sorted(keys))}, not {', '.join(sorted(each))}.")
+        ways.append(HandedWay(name, each["learned"], first=each["first"], until=each["until"], finer=each["finer"]))
     for number in cells:
         ways.append(MPMWay(f"mpm_{number:g}", float(number), mpm))
     return ways
@@ -63,6 +72,7 @@ def simulate_by_choice(
     way: str | None,
     learned: Sequence[str],
     corrected: Sequence[str],
+    handed: Mapping[str, Mapping[str, Any]],
     cells: Sequence[float],
     mpm: Mapping[str, Any],
     rest_speed: float,
@@ -81,6 +91,7 @@ def simulate_by_choice(
         way: name of the one to take, whatever it is worth; None chooses.
         learned: as `make_ways`.
         corrected: likewise.
+        handed: likewise.
         cells: likewise.
         mpm: likewise.
         rest_speed: likewise.
@@ -94,7 +105,7 @@ def simulate_by_choice(
         InputError: nothing to choose from, or a file of another run in the place of one.
     """
     measured = read_records(Path(records) if records else RECORDS)
-    ways, written = make_ways(learned, corrected, cells, mpm, rest_speed), []
+    ways, written = make_ways(learned, corrected, handed, cells, mpm, rest_speed), []
     machine = ", ".join(sorted({f"{each.device}, {each.threads} threads" for each in measured}))
     for scene in scenes:
         scene = scene if duration is None else scene.replace(duration=duration)

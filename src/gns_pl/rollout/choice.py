@@ -13,8 +13,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from gns_pl.errors import InputError
+from gns_pl.rollout.fitted import FittedWay
 from gns_pl.rollout.reduction import why_not_plane
-from gns_pl.rollout.ways import FittedWay, Way
+from gns_pl.rollout.ways import Way
 from gns_pl.scene import Scene
 
 FINE_ERROR = 0.03

@@ -24,8 +24,13 @@ from gns_pl.trajectory import Trajectory
 Floats = NDArray[np.float32]
 
 
-def points_of(trajectory: Trajectory) -> Particles:
-    """Return the particles of a trajectory's first frame as points of a run."""
+def points_of(trajectory: Trajectory, frame: int = 0) -> Particles:
+    """Return the particles of one of a trajectory's frames as points of a run.
+
+    Args:
+        trajectory: its first frame says which body a particle is of.
+        frame: where the points are, and how fast.
+    """
     number, names = trajectory.num_particles, list(trajectory.scene.materials)
     body = np.zeros(number, dtype=np.int64)
     for index, each in enumerate(trajectory.scene.bodies):
@@ -33,8 +38,8 @@ def points_of(trajectory: Trajectory) -> Particles:
         body[((start >= each.position) & (start <= each.upper)).all(axis=1)] = index
     material = np.array([names.index(each.material) for each in trajectory.scene.bodies])[body]
     return Particles(
-        position=trajectory.position[0].astype(np.float64),
-        velocity=trajectory.initial_velocity.astype(np.float64),
+        position=trajectory.position[frame].astype(np.float64),
+        velocity=trajectory.velocity()[frame],
         mass=trajectory.mass.astype(np.float64),
         volume=trajectory.volume().astype(np.float64),
         material=trajectory.material,

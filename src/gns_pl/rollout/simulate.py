@@ -26,10 +26,10 @@ from gns_pl.pretrained import find_checkpoint, pretrained_names
 from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
+from gns_pl.rollout.fitted import start_of
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
 from gns_pl.rollout.rest import Rest
-from gns_pl.rollout.ways import start_of
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
 from gns_pl.simulator import Simulator
 from gns_pl.trajectory import Trajectory

@@ -1,0 +1,261 @@
+"""The ways that learned from data: a simulator alone, a corrector of coarse MPM, a simulator hand in hand with MPM."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gns_pl.checkpoint import Checkpoint, load_checkpoint
+from gns_pl.corrector import CorrectorFile, load_corrector
+from gns_pl.errors import InputError
+from gns_pl.generation import chosen_every, solver, thin_trajectory
+from gns_pl.pretrained import find_corrector
+from gns_pl.rollout.acceleration import accelerate
+from gns_pl.rollout.correction import corrected_run
+from gns_pl.rollout.engine import rollout
+from gns_pl.rollout.handover import continued_by_mpm, continued_by_simulator
+from gns_pl.rollout.reduction import Reduction, to_plane, why_not_plane
+from gns_pl.rollout.rest import Rest
+from gns_pl.rollout.training_range import beyond
+from gns_pl.scene import Particles, Scene, fill_scene
+from gns_pl.trajectory import Trajectory, start_trajectory
+
+OVERHEAD = 300
+"""A learned step of few particles takes as long as one of so many."""
+
+
+POINTS_PER_PARTICLE = 36
+"""A step of so many material points takes as long as that of one learned particle."""
+
+
+class FittedWay:
+    """What is the same for all that learned from data: one of two dimensions takes scenes in plane strain.
+
+    Attributes:
+        dim: D of what it learned.
+        spacing: of its particles [m].
+        interval: time of its steps [s].
+        data: the specification of its data, as in conf/data/.
+    """
+
+    dim: int
+    spacing: float
+    interval: float
+    data: Mapping[str, Any]
+
+    def why_not(self, scene: Scene) -> str | None:
+        """Return what of a scene was not in the data, or None."""
+        if self.dim == 2 and scene.dim == 3:
+            reasons = [why_not_plane(scene, axis) for axis in (1, 0)]
+            if None not in reasons:
+                return f"is of plane strain, and the scene is not: {reasons[0]}"
+        elif self.dim != scene.dim:
+            return f"has {self.dim} dimensions, the scene {scene.dim}"
+        return next(beyond(self.reduced(scene).scene, self.data), None)
+
+    def reduced(self, scene: Scene) -> Reduction:
+        """Return the scene's slice where two dimensions are wanted, else the scene itself.
+
+        Raises:
+            InputError: it cannot be run at all.
+        """
+        if self.dim == 2 and scene.dim == 3:
+            return to_plane(scene, next((axis for axis in (1, 0) if why_not_plane(scene, axis) is None), 1))
+        if self.dim != scene.dim:
+            raise InputError(f"scene {scene.name!r} has {scene.dim} dimensions, what was learned {self.dim}.")
+        return Reduction(scene, lambda trajectory: trajectory, "")
+
+    def size(self, scene: Scene) -> tuple[int, int]:
+        """Return the numbers of particles and of steps."""
+        less = self.reduced(scene).scene
+        volume = sum(math.prod(body.size) for body in less.bodies)
+        return round(volume / self.spacing**less.dim), math.ceil(less.duration / self.interval - 1e-6)
+
+    def work(self, scene: Scene) -> float:
+        """Return (particles + overhead) × steps."""
+        particles, steps = self.size(scene)
+        return float((particles + OVERHEAD) * steps)
+
+
+@dataclass(frozen=True)
+class LearnedWay(FittedWay):
+    """A learned simulator.
+
+    Attributes:
+        name: of the way.
+        path: of the checkpoint, or the name of one that comes with the package.
+        rest_speed: a run ends when every particle is slower [m/s]; 0 makes all its steps.
+        sleep: particles slower than this sleep [m/s] (`accelerate`).
+    """
+
+    name: str
+    path: str | Path
+    rest_speed: float = 0.0
+    sleep: float = 0.0
+
+    @cached_property
+    def checkpoint(self) -> Checkpoint:
+        """The checkpoint, read when first needed."""
+        return load_checkpoint(self.path)
+
+    @property
+    def dim(self) -> int:  # type: ignore[override]
+        """D."""
+        return self.checkpoint.simulator.config.dim
+
+    @property
+    def spacing(self) -> float:  # type: ignore[override]
+        """Of the particles [m]."""
+        return self.checkpoint.simulator.config.spacing
+
+    @property
+    def interval(self) -> float:  # type: ignore[override]
+        """Time of a step [s]."""
+        return self.checkpoint.simulator.config.dt
+
+    @property
+    def data(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """The specification of the data."""
+        return self.checkpoint.data
+
+    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
+        """Return the trajectory; arguments as those of `Way`. One that stops being finite ends there."""
+        less, simulator = self.reduced(scene), accelerate(self.checkpoint.simulator, sleep=self.sleep)
+        start = start_of(less.scene, self.checkpoint, seed, {})
+        rest = Rest(self.rest_speed) if self.rest_speed else None
+        made = rollout(simulator, start, self.size(scene)[1], rest=rest)
+        return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
+
+
+@dataclass(frozen=True)
+class CorrectedWay(FittedWay):
+    """Coarse MPM, corrected by a network.
+
+    Attributes:
+        name: of the way.
+        path: of the corrector's file, or the name of one that comes with the package.
+    """
+
+    name: str
+    path: str | Path
+
+    @cached_property
+    def file(self) -> CorrectorFile:
+        """The corrector's file, read when first needed."""
+        return load_corrector(find_corrector(self.path))
+
+    @property
+    def dim(self) -> int:  # type: ignore[override]
+        """D."""
+        return self.file.corrector.config.dim
+
+    @property
+    def spacing(self) -> float:  # type: ignore[override]
+        """Of the points [m]."""
+        return self.file.corrector.config.spacing
+
+    @property
+    def interval(self) -> float:  # type: ignore[override]
+        """Time between corrections [s]."""
+        return self.file.corrector.config.interval
+
+    @property
+    def data(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """The specification of the data."""
+        return self.file.data
+
+    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
+        """Return the trajectory; arguments as those of `Way`."""
+        less = self.reduced(scene)
+        particles = _filled(less.scene, self.spacing, self.data, seed)
+        start = start_trajectory(less.scene, particles, self.interval, {})
+        made = corrected_run(self.file.corrector, start, self.size(scene)[1])
+        return less.lift(made.resampled(interval, scene.duration))
+
+
+@dataclass(frozen=True)
+class HandedWay(LearnedWay):
+    """A learned simulator after, or before, the material point method.
+
+    Attributes:
+        first: "mpm" or "learned".
+        until: when the first hands over [τc = √(H0/g)].
+        finer: MPM's points per particle and direction where it begins; where it ends its points are the particles.
+    """
+
+    first: str = "mpm"
+    until: float = 1.0
+    finer: int = 1
+
+    def __post_init__(self) -> None:
+        if self.first not in ("mpm", "learned"):
+            raise InputError(f"choice.handed: {self.name} begins with mpm or learned, not {self.first!r}.")
+        if not self.until > 0 or self.finer < 1:
+            raise InputError(f"choice.handed: {self.name} needs until above 0 τc and finer of 1 or more.")
+
+    def shares(self, scene: Scene) -> tuple[int, int]:
+        """Return how many learned steps the first and the second make."""
+        less, steps = self.reduced(scene).scene, self.size(scene)[1]
+        height = max(body.upper[-1] for body in less.bodies) - min(body.position[-1] for body in less.bodies)
+        tau = math.sqrt(height / math.hypot(*less.gravity))
+        early = min(steps, max(1, round(self.until * tau / self.interval)))
+        return early, steps - early
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Of MPM: those of the data, but for cells of two points per direction."""
+        finer = self.finer if self.first == "mpm" else 1
+        return {**self.data["mpm"], "points_per_direction": 2, "cell_size": 2 * self.spacing / finer}
+
+    def work(self, scene: Scene) -> float:
+        """Return that of the learned steps, and of MPM's as if they were learned."""
+        particles, _ = self.size(scene)
+        learned, solved = self.shares(scene)[:: 1 if self.first == "learned" else -1]
+        less, cell = self.reduced(scene).scene, self.settings["cell_size"]
+        finer = (2 * self.spacing / cell) ** less.dim
+        fastest = max(each.p_wave_speed for each in less.materials.values())
+        steps = solved * self.interval * fastest / (self.settings["courant"] * cell)
+        return float((particles + OVERHEAD) * learned + particles * finer * steps / POINTS_PER_PARTICLE)
+
+    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
+        """Return the trajectory; arguments as those of `Way`."""
+        less, simulator, settings = self.reduced(scene), self.checkpoint.simulator, self.settings
+        early, late = self.shares(scene)
+        if self.first == "mpm":
+            brief = less.scene.replace(duration=early * self.interval)
+            past = solver.run_solver(brief, settings, frame_interval=self.interval, seed=seed)
+            past = replace(past, scene=less.scene)
+            middle = [(self.finer - 1) // 2] * less.scene.dim
+            past = thin_trajectory(past, settings, seed, self.finer, middle)
+            made = continued_by_simulator(simulator, past, late)
+        else:
+            past = rollout(simulator, start_of(less.scene, self.checkpoint, seed, {}), early)
+            failed = "failed_at" in past.provenance
+            made = past if failed else continued_by_mpm(past, settings, late)
+        return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
+
+
+def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mapping[str, object]) -> Trajectory:
+    """Return a scene filled at the spacing of a checkpoint's data, as irregularly as these are, in one frame.
+
+    Args:
+        scene: what to fill.
+        checkpoint: spacing, time step and data.
+        seed: of the placement.
+        provenance: how the trajectory is made.
+    """
+    config = checkpoint.simulator.config
+    particles = _filled(scene, config.spacing, checkpoint.data, seed)
+    return start_trajectory(scene, particles, config.dt, dict(provenance))
+
+
+def _filled(scene: Scene, spacing: float, data: Mapping[str, Any], seed: int) -> Particles:
+    # Of the data every k-th point of a lattice is kept, and moves in its own, k times smaller, cell.
+    jitter = float(data.get("mpm", {}).get("jitter", 0.0)) / chosen_every(data)
+    return fill_scene(scene, spacing, jitter=jitter, generator=np.random.default_rng(seed))

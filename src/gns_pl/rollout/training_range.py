@@ -1,0 +1,70 @@
+"""Whether a scene is like those that something was trained on: bodies, walls, material, size, shape and motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gns_pl.scene import Material, Scene, Wall, part_from_dict
+
+
+def beyond(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what of a scene is beyond a data set, in words.
+
+    Args:
+        scene: as it is run, so in two dimensions where the data are.
+        data: the specification of the data, as in conf/data/.
+    """
+    families = [family for family in data.get("families", {}).values() if family.get("count", 1)]
+    if not families:
+        yield "its data do not say what they hold"
+        return
+    if scene.obstacles:
+        yield "knows no obstacles"
+    if len(scene.bodies) > 1:
+        yield f"saw single bodies, the scene has {len(scene.bodies)}"
+    walls = [{**data.get("walls", {}), **family.get("walls", {})} for family in families]
+    known = [{face: part_from_dict(Wall, face, wall) for face, wall in each.items()} for each in walls]
+    touched = [face for face in scene.walls if face != "z+"]  # nothing rises to the lid
+    if all(any(each.get(face) != scene.walls[face] for face in touched) for each in known):
+        yield "its walls were others"
+    gravity = float(data.get("gravity", 0.0))
+    if any(scene.gravity[:-1]) or abs(-scene.gravity[-1] - gravity) > 0.01 * gravity:
+        yield f"its gravity was {gravity:g} m/s² downwards"
+    angles = [each for family in families for each in family.get("friction_angle_deg", ())]
+    base = part_from_dict(Material, "material", data["material"])
+    for body in scene.bodies:
+        material = scene.materials[body.material]
+        angle = material.friction_angle_deg
+        if angles and not min(angles) <= angle <= max(angles):
+            yield f"its friction angles were {min(angles):g} to {max(angles):g}°"
+        if replace(material, friction_angle_deg=base.friction_angle_deg) != base or not (
+            angles or angle == base.friction_angle_deg
+        ):
+            yield "its material was another"
+        yield from _beyond_shape(scene, body, families)
+
+
+def _beyond_shape(scene: Scene, body: Any, families: list[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield what of a body's size, shape and motion is beyond all families."""
+    length, height, speed = body.size[0], body.size[-1], math.hypot(*body.velocity)
+    ratio, drop = height / length, body.position[-1] - scene.lower[-1]
+
+    def span(*keys: str) -> tuple[float, float]:
+        values = [value for family in families for key in keys for value in np.atleast_1d(family.get(key, []))]
+        return (float(min(values)), float(max(values))) if values else (math.nan, math.nan)
+
+    for what, value, (low, high), unit in (
+        ("lengths", length, span("length", "side"), " m"),
+        ("aspect ratios", ratio, span("aspect_ratio"), ""),
+    ):
+        if not 0.99 * low <= value <= 1.01 * high:
+            yield f"saw {what} from {low:g} to {high:g}{unit}, not {value:.3g}"
+    if speed > 1e-9 + math.sqrt(scene.dim) * span("speed")[1] or (speed and math.isnan(span("speed")[1])):
+        yield f"saw initial speeds up to {span('speed')[1]:g} m/s along an axis"
+    if drop > 1e-9 and not drop <= 1.01 * span("max_drop")[1]:
+        yield f"saw drops up to {span('max_drop')[1]:g} m"
