@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.evaluation.curves import compute_curves
+from gns_pl.evaluation.laws import LAWS, Law
 from gns_pl.evaluation.measures import arrest_time, percentile_front
 from gns_pl.mpm import MPMConfig, simulate
 from gns_pl.scene import FACES, Body, Box, Material, Scene, Wall, column_collapse, fill_scene
@@ -33,31 +33,6 @@ RADIUS = 0.2
 """L0 of the columns of the laws, and radius of the axisymmetric ones [m]."""
 
 
-@dataclass(frozen=True)
-class Law:
-    """A published runout law (L − L0)/L0 of the aspect ratio: `low` a below `split`, `high` a^`power` above.
-
-    Between the two ranges that a source gives, its lower one is carried on to where the two meet.
-    """
-
-    source: str
-    low: float
-    high: float
-    power: float
-
-    def __call__(self, aspect_ratio: float) -> float:
-        """Return the runout in L0."""
-        split = (self.high / self.low) ** (1 / (1 - self.power))
-        return self.low * aspect_ratio if aspect_ratio < split else self.high * aspect_ratio**self.power
-
-
-LAWS = (
-    Law("Lube et al. 2005, channel", 1.2, 1.9, 2 / 3),
-    Law("Lajeunesse et al. 2005, channel", 1.8, 2.3, 2 / 3),
-    Law("DEM, Kumar", 1.67, 2.7, 2 / 3),
-    Law("μ(I) continuum, Lagrée et al. 2011", 2.2, 3.9, 0.7),
-)
-"""In a plane channel, as tabulated by secondary sources; experiments first."""
 AXISYMMETRIC = Law("Lube et al. 2004, axisymmetric", 1.24, 1.6, 0.5)
 
 

@@ -56,11 +56,11 @@ def test_a_missing_checkpoint_is_refused_before_torch_is_imported(tmp_path) -> N
 def test_config_composes_with_the_documented_overrides() -> None:
     from hydra import compose, initialize_config_dir
 
-    overrides = ["ckpt=a/last.ckpt", "+evaluation.scenes.mine=scene.yaml", "evaluation.only=[mine,column_0.8]"]
+    overrides = ["ckpt=a/last.ckpt", "evaluation.scenes=[scene.yaml,b.yaml]", "evaluation.only=[mine,column_0.8]"]
     with initialize_config_dir(str(DOOR.parent / "conf"), version_base=None):
         cfg = compose("evaluate", overrides=[*overrides, "logger.offline=false", "logger.enabled=false"])
     assert list(cfg.evaluation.only) == ["mine", "column_0.8"]
-    assert cfg.evaluation.scenes.mine == "scene.yaml"
+    assert list(cfg.evaluation.scenes) == ["scene.yaml", "b.yaml"]
     assert len(DOOR.read_text().splitlines()) <= 30
 
 
@@ -86,8 +86,11 @@ def test_a_whole_run_from_two_folders_gives_the_same_numbers(tmp_path) -> None:
         done = call(tmp_path / folder, "ckpt=a.ckpt", *settings)
         assert done.returncode == 0, done.stderr
         made = tmp_path / folder / "evaluation"
-        assert {"table.md", "column_2.0.gif", "runout_height.pdf"} <= {path.name for path in made.iterdir()}
+        assert {"table.md", "report.html", "column_2.0.gif", "runout_height.pdf"} <= {
+            path.name for path in made.iterdir()
+        }
         document = json.loads((made / "metrics.json").read_text())
+        assert document.pop("run")["command"].startswith("evaluate.py ckpt=a.ckpt")
         scene = document["scenes"]["column_2.0"]
         assert scene.pop("wall_seconds").keys() == scene.pop("made_by").keys() == {"reference", "learned"}
         documents.append(document)

@@ -9,21 +9,24 @@ import pytest
 import torch
 from PIL import Image
 
-import gns_pl.generation
 import gns_pl.rollout
 from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation import evaluate as module
+from gns_pl.evaluation import references as module_references
 from gns_pl.evaluation.curves import CURVES, read_curves
-from gns_pl.evaluation.evaluate import evaluate
-from gns_pl.evaluation.metrics import ERRORS, SUMMARY
+from gns_pl.evaluation.evaluate import evaluate_all
+from gns_pl.evaluation.metrics import COMPARISON, SUMMARY
 from gns_pl.scene import write_scene
 from tests.conftest import make_simulator
 from tests.evaluation.made_up import column, spreading
 from tests.evaluation.test_scenes import DATA
 
 SETTINGS = {
-    "scenes": {"short": {"length": 0.4, "height": 0.2}, "tall": {"length": 0.2, "height": 0.4}},
+    "columns": {"short": {"length": 0.4, "height": 0.2}, "tall": {"length": 0.2, "height": 0.4}},
+    "scenes": None,
+    "split": None,
+    "spread": [],
     "only": None,
     "domain": [1.5, 0.5, 0.7],
     "duration": 1.5,
@@ -64,13 +67,14 @@ def references(monkeypatch):
         return spreading(scene, round(scene.duration / frame_interval) + 1, dt=frame_interval)
 
     monkeypatch.setattr(
-        gns_pl.generation, "reference_trajectory", lambda scene, *, mpm, **rest: made_up(scene, mpm, **rest)
+        module_references, "reference_trajectory", lambda scene, *, mpm, **rest: made_up(scene, mpm, **rest)
     )
     return calls
 
 
 def run(checkpoint, tmp_path, **changes):
-    return evaluate(checkpoint, **({"out": tmp_path / "out", "cache": tmp_path / "cache"} | SETTINGS | changes))
+    settings = {"out": tmp_path / "out", "cache": tmp_path / "cache"} | SETTINGS | changes
+    return evaluate_all({"run": checkpoint}, **settings)["run"]
 
 
 def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
@@ -78,9 +82,9 @@ def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
     document = run(checkpoint, tmp_path, figures=True, save_trajectories=True)
     assert references[0] == ("short", {"cell_size": 0.1}, 0.02, 3, tmp_path / "cache")
     made = [path.name for path in out.iterdir()]
-    expected = {"metrics.json", "table.md", "runout_height.png", "runout_height.pdf", "energy.png"}
-    for name in SETTINGS["scenes"]:
-        expected |= {f"curves_{name}.csv", f"evolution_{name}.png", f"{name}.gif"}
+    expected = {"metrics.json", "table.md", "report.html", "runout_height.png", "runout_height.pdf", "energy.png"}
+    for name in SETTINGS["columns"]:
+        expected |= {f"curves_{name}.csv", f"evolution_{name}.png", f"evolution_{name}.pdf", f"{name}.gif"}
         expected |= {f"reference_{name}.h5", f"learned_{name}.h5"}
     assert set(made) == expected
     assert all((out / name).stat().st_size > 500 for name in made)
@@ -93,7 +97,7 @@ def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
     assert stored == document
     scene = stored["scenes"]["short"]
     assert set(scene["reference"]) == set(scene["learned"]) == {quantity.name for quantity in SUMMARY}
-    assert set(scene["errors"]["learned"]) == set(scene["errors"]["no_motion"]) == {q.name for q in ERRORS}
+    assert set(scene["errors"]["learned"]) == set(scene["errors"]["no_motion"]) == {q.name for q in COMPARISON}
     assert scene["failed_at"] is None and scene["aspect_ratio"] == pytest.approx(0.5)
     assert scene["no_motion"]["runout_99"] == 0
     assert scene["wall_seconds"]["learned"] > 0
@@ -112,9 +116,10 @@ def test_a_copy_elsewhere_gives_the_same_numbers(checkpoint, tmp_path, monkeypat
     shutil.copy(checkpoint, elsewhere / "copy.ckpt")
     monkeypatch.chdir(elsewhere)
     settings = SETTINGS | {"out": module.Path("out"), "cache": module.Path("cache"), "only": "tall"}
-    there = evaluate(module.Path("copy.ckpt"), **settings)
+    there = evaluate_all({"copy": module.Path("copy.ckpt")}, **settings)["copy"]
     assert (elsewhere / "out" / "metrics.json").is_file()
     for document in (here, there):
+        del document["run"]
         for scene in document["scenes"].values():
             del scene["wall_seconds"], scene["made_by"]
     assert here == there
@@ -176,7 +181,7 @@ def test_other_refusals(checkpoint, tmp_path, monkeypatch) -> None:
         run(checkpoint, tmp_path, device="abacus")
     write_scene(column(2), tmp_path / "flat.yaml")
     with pytest.raises(InputError, match="has 2 dimensions"):
-        run(checkpoint, tmp_path, scenes={"flat": str(tmp_path / "flat.yaml")})
+        run(checkpoint, tmp_path, scenes=[str(tmp_path / "flat.yaml")])
     save_checkpoint(tmp_path / "foreign.ckpt", Checkpoint(make_simulator(), {"name": "imported"}, {}))
     with pytest.raises(InputError, match="by which MPM"):
         run(tmp_path / "foreign.ckpt", tmp_path)

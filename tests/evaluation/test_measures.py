@@ -56,6 +56,65 @@ def test_mean_height_of_a_column_and_its_shift() -> None:
     np.testing.assert_allclose(centre[4] - centre[0], [0.4, 0, 0.04], atol=1e-6)
 
 
+def wedge(spacing: float, length: float = 1.0, height: float = 0.4) -> np.ndarray:
+    """Points that fill a triangle h(x) = H (1 − x/L) on the floor, one per square of the lattice."""
+    x = (np.arange(round(length / spacing)) + 0.5) * spacing
+    columns = [np.arange(spacing / 2, height * (1 - each / length), spacing) for each in x]
+    return np.array([(each, z) for each, column in zip(x, columns, strict=True) for z in column])
+
+
+def half_disc(spacing: float, radius: float = 0.5) -> np.ndarray:
+    """Points that fill a half-disc on the floor around x = 0.6 m."""
+    grid = np.stack(np.meshgrid(np.arange(spacing / 2, 1.4, spacing), np.arange(spacing / 2, 0.7, spacing)), axis=-1)
+    points = grid.reshape(-1, 2)
+    return points[((points - [0.6, 0.0]) ** 2).sum(axis=1) < radius**2]
+
+
+def test_a_wedge_has_its_profile_its_centre_and_its_front() -> None:
+    points = wedge(0.005)
+    mass = np.full(len(points), 2.0)
+    x, height = measures.deposit_profile(points, mass, column(2), 0.02)
+    inside = x < 0.95
+    np.testing.assert_allclose(height[inside], 0.4 * (1 - x[inside]), atol=0.012)
+    assert not height[x > 1.02].any()
+    assert np.sum(height) * 0.02 == pytest.approx(0.2, rel=0.01)
+    # Of a triangle 99 % of the area lies before 1 − √0.01 of its length.
+    front = measures.percentile_front(points[None, :, 0], mass, (99, 100), 0.005)
+    np.testing.assert_allclose(front[:, 0], [0.9, 1.0], atol=0.01)
+    assert points.mean(axis=0) == pytest.approx([1 / 3, 0.4 / 3], abs=0.004)
+
+
+def test_a_half_disc_has_its_profile_and_its_centre() -> None:
+    points = half_disc(0.005)
+    x, height = measures.deposit_profile(points, np.ones(len(points)), column(2), 0.02)
+    inside = abs(x - 0.6) < 0.47
+    np.testing.assert_allclose(height[inside], np.sqrt(0.25 - (x[inside] - 0.6) ** 2), atol=0.012)
+    assert points.mean(axis=0) == pytest.approx([0.6, 4 * 0.5 / (3 * np.pi)], abs=0.003)
+
+
+@pytest.mark.parametrize(("dim", "squeezed"), [(2, 1.0), (3, 1.0), (2, 0.8), (3, 0.5)])
+def test_a_block_is_full_and_a_squeezed_one_fuller(dim: int, squeezed: float) -> None:
+    """Also at floor, wall and edges of the box, where the grid's nodes have less room."""
+    still = standing(column(dim, length=1.5, height=0.6))
+    position = still.position[0].astype(np.float64)
+    position[:, -1] *= squeezed
+    found = measures.solid_fraction(position, still.volume().astype(np.float64), still.scene, 2.5 * SPACING)
+    inner = position[:, -1] < 0.6 * squeezed - 0.16
+    np.testing.assert_allclose(found[inner], 1 / squeezed, rtol=0.12)
+    assert found[inner].mean() == pytest.approx(1 / squeezed, rel=0.02)
+    assert found[~inner].mean() < found[inner].mean()
+
+
+def test_transport_of_a_shift_is_the_shift_and_of_a_permutation_nothing() -> None:
+    points = np.random.default_rng(0).uniform(0, 1, (500, 3))
+    assert measures.sinkhorn_distance(points, points) < 1e-6
+    few = points[:200]  # so that all of them are compared
+    assert measures.sinkhorn_distance(few, np.random.default_rng(1).permutation(few)) < 1e-3
+    assert measures.sinkhorn_distance(points, points + np.array([0.3, 0, 0])) == pytest.approx(0.3, rel=0.03)
+    stretched = points * [2, 1, 1]  # E (2u − u)² = 1/3
+    assert measures.sinkhorn_distance(points, stretched) == pytest.approx(3**-0.5, rel=0.06)
+
+
 def test_energies_of_free_fall() -> None:
     still = replace(standing(frames=11), scene=column())
     time = still.time

@@ -10,7 +10,7 @@ import pytest
 
 from gns_pl.evaluation import rollout_errors, summarise
 from gns_pl.evaluation.curves import CURVES, cut
-from gns_pl.evaluation.metrics import ERRORS, SUMMARY
+from gns_pl.evaluation.metrics import COMPARISON, ERRORS, SUMMARY
 from tests.evaluation.made_up import HEIGHT, SPACING, moved, spreading, standing
 
 ALL = [quantity.name for quantity in (*ERRORS, *SUMMARY)]
@@ -108,5 +108,5 @@ def test_the_measures_are_light_to_import() -> None:
 
 def test_every_number_is_documented() -> None:
     lines = (Path(__file__).parents[2] / "docs" / "evaluation.md").read_text(encoding="utf-8").splitlines()
-    for quantity in (*CURVES, *SUMMARY, *ERRORS):
+    for quantity in (*CURVES, *SUMMARY, *COMPARISON):
         assert f"| `{quantity.name}` | {quantity.unit} | {quantity.meaning} |" in lines

@@ -30,8 +30,8 @@ def test_what_is_not_finite_becomes_null() -> None:
 
 
 def test_rows_name_keys_that_exist() -> None:
-    from gns_pl.evaluation.metrics import ERRORS, SUMMARY
+    from gns_pl.evaluation.metrics import COMPARISON, SUMMARY
 
-    summary, errors = ({quantity.name for quantity in table} for table in (SUMMARY, ERRORS))
+    summary, errors = ({quantity.name for quantity in table} for table in (SUMMARY, COMPARISON))
     assert all(key in summary and (not error or error in errors) for _, key, error in report.ROWS)
     assert all(key in errors for _, key in report.ERROR_ROWS)

@@ -19,8 +19,15 @@ DATA = {
 COLUMNS = {"short": {"length": 0.475, "height": 0.38}, "tall": {"length": 0.3, "height": 0.6}}
 
 
-def build(specifications=COLUMNS, **changes):
-    settings = {"only": None, "domain": [1.5, 0.5, 0.7], "duration": 6.0, "interval": 0.02, "data": DATA} | changes
+def build(specifications=COLUMNS, files=None, **changes):
+    settings = {
+        "files": files,
+        "only": None,
+        "domain": [1.5, 0.5, 0.7],
+        "duration": 6.0,
+        "interval": 0.02,
+        "data": DATA,
+    } | changes
     return build_scenes(specifications, **settings)
 
 
@@ -44,7 +51,15 @@ def test_columns_of_data_in_two_dimensions() -> None:
 
 def test_a_scene_of_ones_own(tmp_path) -> None:
     write_scene(column(), tmp_path / "mine.yaml")
-    assert build({"mine": str(tmp_path / "mine.yaml")}, data={}) == {"mine": column()}
+    write_scene(column(name="other"), tmp_path / "other.yaml")
+    mine, other = (str(tmp_path / f"{name}.yaml") for name in ("mine", "other"))
+    assert build(files=[mine, other], data={}) == {"column": column(), "other": column(name="other")}
+    assert build(files=mine, data={}) == {"column": column()}
+    assert list(build(files=[mine, other], only="other", data={})) == ["other"]
+    with pytest.raises(InputError, match="two scenes are called 'column'"):
+        build(files=[mine, mine], data={})
+    with pytest.raises(InputError, match=r"nowhere\.yaml: cannot be read"):
+        build(files=["nowhere.yaml"])
 
 
 @pytest.mark.parametrize("only", [["tall"], "tall"])
@@ -60,7 +75,6 @@ def test_only_some(only) -> None:
         ({"a/b": COLUMNS["tall"]}, {}, "must be a word"),
         ({"x": {"length": 1}}, {}, "length, height"),
         ({"x": {"length": 0.3, "height": 0.9}}, {}, "outside the domain"),
-        ({"x": "nowhere.yaml"}, {}, "nowhere.yaml: cannot be read"),
         (COLUMNS, {"duration": -1}, "duration must be positive"),
         (COLUMNS, {"duration": "long"}, "duration must be positive"),
         (COLUMNS, {"data": {"gravity": 9.81}}, "do not state their material, walls"),
@@ -75,4 +89,4 @@ def test_refusals_are_one_sentence(specifications, changes, message) -> None:
 def test_a_scene_without_gravity_is_refused_before_it_is_simulated(tmp_path) -> None:
     write_scene(column().replace(gravity=(0, 0, 0)), tmp_path / "space.yaml")
     with pytest.raises(InputError, match="no gravity"):
-        build({"space": str(tmp_path / "space.yaml")})
+        build(files=str(tmp_path / "space.yaml"))

@@ -38,7 +38,7 @@ def test_every_panel_can_be_drawn(tmp_path) -> None:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_evolution_shows_grains_in_every_panel(tmp_path, dim) -> None:
     flows = {"learned": spreading(column(dim), share=0.7), "MPM": spreading(column(dim))}
-    plot_evolution(flows, tmp_path / "e.png", time_scale=SCALE, times=[0, 1, 99], diameter=SPACING)
+    plot_evolution(flows, [tmp_path / "e.png"], time_scale=SCALE, times=[0, 1, 99], diameter=SPACING)
     image = pixels(tmp_path / "e.png").astype(int)
     coloured = np.ptp(image, axis=2) > 40
     half = image.shape[1] // 2
@@ -47,7 +47,7 @@ def test_evolution_shows_grains_in_every_panel(tmp_path, dim) -> None:
 
 def test_a_rollout_that_ended_early_is_said_to(tmp_path) -> None:
     flows = {"learned": cut(spreading(), 3), "MPM": spreading()}
-    plot_evolution(flows, tmp_path / "e.png", time_scale=SCALE, times=[0], diameter=SPACING)
+    plot_evolution(flows, [tmp_path / "e.png"], time_scale=SCALE, times=[0], diameter=SPACING)
     write_animation(flows, tmp_path / "e.gif", time_scale=SCALE, diameter=SPACING, num_frames=5, width=500)
     with Image.open(tmp_path / "e.gif") as gif:
         assert gif.n_frames == 5

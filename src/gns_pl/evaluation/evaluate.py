@@ -13,16 +13,16 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.evaluation.curves import Curves, compute_curves, cut, num_finite_frames, write_curves
 from gns_pl.evaluation.measures import characteristic_time, initial_extent, particle_spacing
-from gns_pl.evaluation.metrics import ERRORS, SUMMARY, rollout_errors, summarise
-from gns_pl.evaluation.scenes import build_scenes
+from gns_pl.evaluation.metrics import COMPARISON, SUMMARY, compare, summarise
+from gns_pl.evaluation.scenes import build_scenes, chosen
 from gns_pl.pretrained import find_checkpoint, pretrained_names
-from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from gns_pl.checkpoint import Checkpoint
+    from gns_pl.evaluation.references import Reference
 
 
 @dataclass(frozen=True)
@@ -42,26 +42,92 @@ class SceneResult:
     report: dict[str, Any]
 
 
-def evaluate_config(cfg: DictConfig) -> dict[str, Any]:
-    """Evaluate as a Hydra config says (conf/evaluate.yaml); what can be refused is refused before anything heavy."""
+def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
+    """Evaluate as a Hydra config says (conf/evaluate.yaml); what can be refused is refused before anything heavy.
+
+    Returns:
+        Name of every checkpoint → the content of its metrics.json.
+    """
     from omegaconf import OmegaConf
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    evaluation = settings["evaluation"]
-    if not settings["ckpt"]:
+    evaluation, wanted = settings["evaluation"], settings["ckpt"]
+    if not wanted:
         raise InputError("which checkpoint? Name one: python evaluate.py ckpt=runs/…/last.ckpt")
-    checkpoint = find_checkpoint(settings["ckpt"])
-    if not checkpoint.is_file():
-        known = ", ".join(pretrained_names())
-        raise InputError(f"{checkpoint}: there is no such checkpoint; those that come with gns_pl are {known}.")
+    checkpoints = named_checkpoints(wanted if isinstance(wanted, list) else [wanted])
     if evaluation["figures"]:
         check_figures()
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
-    named = checkpoint != Path(settings["ckpt"])  # one of the package's, in whose folder nothing is written
-    beside = Path("runs") / checkpoint.stem if named else checkpoint.parent
-    out = Path(settings["out"]) if settings["out"] else beside / "evaluation"
-    return evaluate(checkpoint, out=out, cache=Path(settings["cache"]), logger=logger, **evaluation)
+    out = Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)
+    return evaluate_all(checkpoints, out=out, cache=Path(settings["cache"]), logger=logger, **evaluation)
+
+
+def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
+    """Return a name for every checkpoint → its path: that of the package, or of its folder, as long as they differ.
+
+    Raises:
+        InputError: one that is not there.
+    """
+    found: dict[str, Path] = {}
+    for text in wanted:
+        path = find_checkpoint(text)
+        if not path.is_file():
+            known = ", ".join(pretrained_names())
+            raise InputError(f"{path}: there is no such checkpoint; those that come with gns_pl are {known}.")
+        name = path.stem if path != Path(text) or not path.parent.name else path.parent.name
+        if name in found and found[name] != path:
+            name = f"{name}_{path.stem}"
+        if found.get(name, path) != path:
+            name = f"{name}_{len(found) + 1}"
+        found[name] = path
+    return found
+
+
+def default_folder(wanted: str | Sequence[str], checkpoints: Mapping[str, Path]) -> Path:
+    """Return where an evaluation goes if nobody says: beside one checkpoint; under runs/ for one of the package's."""
+    if len(checkpoints) > 1:
+        return Path("runs") / "_".join(checkpoints) / "evaluation"
+    [(name, path)] = checkpoints.items()
+    text = wanted if isinstance(wanted, str) else wanted[0]
+    return (Path("runs") / name if path != Path(text) else path.parent) / "evaluation"
+
+
+def evaluate_all(
+    checkpoints: Mapping[str, Path], *, out: Path, logger: Mapping[str, Any] | None, **settings: Any
+) -> dict[str, dict[str, Any]]:
+    """Judge checkpoints and write one page about all of them.
+
+    Args:
+        checkpoints: name → path.
+        out: folder; what one checkpoint gives goes into it, what several give into folders of their names.
+        logger: {offline, project} of W&B; None logs nothing.
+        settings: as of `evaluate`.
+
+    Returns:
+        Name → the content of metrics.json.
+
+    Raises:
+        InputError: as `evaluate`.
+    """
+    from gns_pl.evaluation import page, tracking
+
+    folders = {name: out / name if len(checkpoints) > 1 else out for name in checkpoints}
+    documents: dict[str, dict[str, Any]] = {}
+    files: dict[str, list[Path]] = {}
+    for name, path in checkpoints.items():
+        if len(checkpoints) > 1:
+            print(f"\n{name}: {path}")
+        documents[name], files[name] = evaluate(path, out=folders[name], **settings)
+    path = page.write_page(out / "report.html", documents, folders)
+    print("Made:", *(file for each in files.values() for file in each), path, sep="\n  ")
+    for name, document in documents.items():
+        if logger is not None:
+            print(f"  {tracking.log_evaluation(document, [*files[name], path], out=folders[name], **logger)}")
+        logs = sorted(checkpoints[name].parent.glob("csv/*/metrics.csv"))
+        if logs:
+            print("The training's own log:", *logs, sep="\n  ")
+    return documents
 
 
 def check_figures() -> None:
@@ -80,57 +146,65 @@ def evaluate(
     *,
     out: Path,
     cache: Path,
-    scenes: Mapping[str, Any],
+    columns: Mapping[str, Any],
+    scenes: Sequence[str] | str | None,
+    split: str | None,
     only: Sequence[str] | str | None,
     domain: Sequence[float],
     duration: float,
+    spread: Sequence[float],
     seed: int,
     device: str,
     figures: bool,
     snapshots: Sequence[float],
     animation: Mapping[str, int],
     save_trajectories: bool,
-    logger: Mapping[str, Any] | None,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], list[Path]]:
     """Judge a checkpoint on scenes and write everything into one folder.
 
     Args:
         checkpoint_path: the checkpoint.
         out: folder for what is made; created.
         cache: folder in which MPM references are kept between evaluations.
-        scenes: name → {length, height} [m] or path of a scene file.
+        columns: name → {length, height} [m].
+        scenes: scene files to run in the columns' place; None for the columns.
+        split: of the checkpoint's data set, to judge in their place: "valid", "test", "train"; None for none.
         only: names of the scenes to run; None runs all.
         domain: box of the columns [m].
         duration: simulated time of the columns [τc].
+        spread: cells of further MPM runs over those of the data, by which the reference's own error is told.
         seed: of the particles' placement.
         device: "auto", or a device as torch names it.
         figures: draw, or leave out figures and animations.
         snapshots: times of the evolution figure [τc]; the last frame comes besides.
         animation: `num_frames` and `width` [pixels].
         save_trajectories: write rollouts and references as HDF5.
-        logger: {offline, project} of W&B; None logs nothing.
 
     Returns:
-        The content of metrics.json.
+        The content of metrics.json, and the files made.
 
     Raises:
         InputError: a checkpoint, a scene or a folder that cannot be used.
     """
     from gns_pl.checkpoint import load_checkpoint, move
-    from gns_pl.evaluation import report, tracking
+    from gns_pl.evaluation import report
+    from gns_pl.evaluation.references import reference_of, stored_references
 
     checkpoint = load_checkpoint(checkpoint_path)
-    if "mpm" not in checkpoint.data:
+    config = checkpoint.simulator.config
+    if split is None and "mpm" not in checkpoint.data:
         raise InputError(
             f"{checkpoint_path}: its data do not say by which MPM they were made, so nothing can be compared."
         )
-    interval = checkpoint.simulator.config.dt
-    built = build_scenes(scenes, only=only, domain=domain, duration=duration, interval=interval, data=checkpoint.data)
+    stored = {} if split is None else chosen(stored_references(checkpoint, split), only, "evaluation.split")
+    built = {name: each.trajectory.scene for name, each in stored.items()}
+    if split is None:
+        interval, data = config.dt, checkpoint.data
+        built = build_scenes(columns, scenes, only=only, domain=domain, duration=duration, interval=interval, data=data)
     for name, scene in built.items():
-        if scene.dim != checkpoint.simulator.config.dim:
+        if scene.dim != config.dim:
             raise InputError(
-                f"scene {name!r} has {scene.dim} dimensions, the simulator of {checkpoint_path} "
-                f"{checkpoint.simulator.config.dim}."
+                f"scene {name!r} has {scene.dim} dimensions, the simulator of {checkpoint_path} {config.dim}."
             )
         if scene.obstacles:  # said here, before minutes of MPM
             raise InputError(f"scene {name!r} has obstacles, and a learned simulator knows no obstacles yet.")
@@ -139,7 +213,8 @@ def evaluate(
     results, files = {}, []
     for name, scene in built.items():
         print(f"{name}: MPM (computed once, then cached) and the learned rollout …", flush=True)
-        results[name] = result = judge_scene(name, scene, checkpoint, cache=cache, seed=seed)
+        reference = stored.get(name) or reference_of(scene, checkpoint, cache=cache, seed=seed, cells=spread)
+        results[name] = result = judge_scene(name, reference, checkpoint)
         files.append(out / f"curves_{name}.csv")
         write_curves(files[-1], result.curves)
         if save_trajectories:
@@ -150,70 +225,57 @@ def evaluate(
         from gns_pl.evaluation.figures import draw
 
         files += draw(results, out, snapshots=snapshots, **animation)
-    report.show(document, files)
-    if logger is not None:
-        print(f"  {tracking.log_evaluation(document, files, out=out, **logger)}")
-    logs = sorted(checkpoint_path.parent.glob("csv/*/metrics.csv"))
-    if logs:
-        print("The training's own log:", *logs, sep="\n  ")
-    return document
+    report.show(document)
+    return document, files
 
 
-def judge_scene(name: str, scene: Scene, checkpoint: Checkpoint, *, cache: Path, seed: int) -> SceneResult:
-    """Run one scene by MPM (from the cache if it is there) and by the learned simulator, and measure both.
+def judge_scene(name: str, reference: Reference, checkpoint: Checkpoint) -> SceneResult:
+    """Run one scene by the learned simulator, and measure both.
 
-    A simulator that was trained on every k-th point of fine simulations is judged on every k-th point of a fine one.
     The rollout starts from the reference's first frame, so both have the same particles, one to one. A rollout that
     ends before the reference or stops being finite is reported as failed; nothing is raised.
 
     Args:
         name: of the scene, for messages.
-        scene: what to run.
-        checkpoint: simulator and the specification of its data, whose MPM settings the reference takes.
-        cache: folder of references.
-        seed: of the particles' placement.
+        reference: of the material point method.
+        checkpoint: the simulator.
     """
-    from gns_pl.generation import chosen_every, reference_trajectory, thin_trajectory
     from gns_pl.rollout import rollout
     from gns_pl.rollout.progress import counting
 
-    interval, mpm = checkpoint.simulator.config.dt, checkpoint.data["mpm"]
-    reference = reference_trajectory(scene, mpm=mpm, frame_interval=interval, seed=seed, cache_directory=cache)
-    every = chosen_every(checkpoint.data)
-    middle = [(every - 1) // 2] * scene.dim  # of the lattices to choose from, the one that stands least to one side
-    reference = thin_trajectory(reference, mpm, seed, every, middle)
-    with counting(f"{name}: learned rollout", interval) as on_step:
-        learned = rollout(checkpoint.simulator, cut(reference, 1), reference.num_frames - 1, on_step=on_step)
+    truth = reference.trajectory
+    with counting(f"{name}: learned rollout", truth.dt) as on_step:
+        learned = rollout(checkpoint.simulator, cut(truth, 1), truth.num_frames - 1, on_step=on_step)
     finite = num_finite_frames(learned)
-    failed_at = finite * learned.dt if finite < reference.num_frames else None
-    trajectories = {"reference": reference, "learned": cut(learned, finite)}
+    failed_at = finite * learned.dt if finite < truth.num_frames else None
+    trajectories = {"reference": truth, "learned": cut(learned, finite)}
     curves = {key: compute_curves(trajectory) for key, trajectory in trajectories.items()}
-    still = rollout_errors(_motionless(reference), reference)
-    errors = rollout_errors(learned, reference)
-    length, height = initial_extent(scene)
+    still, errors = compare(_motionless(truth), truth), compare(learned, truth)
+    length, height = initial_extent(truth.scene)
     report: dict[str, Any] = {
-        "scene": scene.to_dict(),
+        "scene": truth.scene.to_dict(),
         "length": length,
         "height": height,
         "aspect_ratio": height / length,
-        "characteristic_time": characteristic_time(scene),
-        "spacing": particle_spacing(reference),
-        "num_particles": reference.num_particles,
-        "num_steps": reference.num_frames - 1,
-        "dt": reference.dt,
+        "characteristic_time": characteristic_time(truth.scene),
+        "spacing": particle_spacing(truth),
+        "num_particles": truth.num_particles,
+        "num_steps": truth.num_frames - 1,
+        "dt": truth.dt,
         "failed_at": failed_at,
-        "reference": summarise(reference, curves["reference"]),
+        "reference": summarise(truth, curves["reference"]),
         "learned": {quantity.name: errors[quantity.name] for quantity in SUMMARY},
         "no_motion": {quantity.name: still[quantity.name] for quantity in SUMMARY},
+        "reference_spread": {"cells": list(reference.cells), **reference.spread},
         "errors": {
-            "learned": {quantity.name: errors[quantity.name] for quantity in ERRORS},
-            "no_motion": {quantity.name: still[quantity.name] for quantity in ERRORS},
+            "learned": {quantity.name: errors[quantity.name] for quantity in COMPARISON},
+            "no_motion": {quantity.name: still[quantity.name] for quantity in COMPARISON},
         },
         "wall_seconds": {
-            "reference": reference.provenance.get("wall_seconds"),
+            "reference": truth.provenance.get("wall_seconds"),
             "learned": learned.provenance.get("wall_seconds"),
         },
-        "made_by": {"reference": reference.provenance, "learned": learned.provenance},
+        "made_by": {"reference": truth.provenance, "learned": learned.provenance},
     }
     return SceneResult(trajectories, curves, failed_at, report)
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from gns_pl.evaluation.laws import LAWS
 from gns_pl.evaluation.measures import characteristic_time, particle_spacing
 
 if TYPE_CHECKING:
     from gns_pl.evaluation.evaluate import SceneResult
+    from gns_pl.scene import Scene
+
+LEAST_COLUMNS = 3
+"""From so many columns on their runouts are drawn beside published laws."""
 
 TITLES = {"reference": "MPM", "learned": "learned"}
 
@@ -17,7 +22,7 @@ TITLES = {"reference": "MPM", "learned": "learned"}
 def draw(
     results: Mapping[str, SceneResult], out: Path, *, snapshots: Sequence[float], num_frames: int, width: int
 ) -> list[Path]:
-    """Draw curves of all scenes, and an evolution and an animation of each, into `out`.
+    """Draw curves of all scenes, their runouts beside published laws, an evolution and an animation of each.
 
     Args:
         results: scene → its result.
@@ -29,17 +34,44 @@ def draw(
     Returns:
         Paths of the files.
     """
-    from gns_pl.viz import plot_curves, plot_evolution, write_animation
+    from gns_pl.viz import plot_curves, plot_evolution, plot_laws, write_animation
 
     curves = {name: {TITLES[key]: values for key, values in result.curves.items()} for name, result in results.items()}
     files = [out / "runout_height.png", out / "runout_height.pdf", out / "energy.png"]
     plot_curves(curves, ("runout", "height"), files[:2])
     plot_curves(curves, ("energy", "speed"), files[2:])
+    columns = [result.report for result in results.values() if is_column(result.trajectories["reference"].scene)]
+    if len(columns) >= LEAST_COLUMNS:
+        files += [out / "laws.png", out / "laws.pdf"]
+        plot_laws(of_columns(columns), {law.source: law for law in LAWS}, files[-2:])
     for name, result in results.items():
         shown = {TITLES[key]: result.trajectories[key] for key in ("learned", "reference")}
         reference = result.trajectories["reference"]
         scale, spacing = characteristic_time(reference.scene), particle_spacing(reference)
-        files += [out / f"evolution_{name}.png", out / f"{name}.gif"]
-        plot_evolution(shown, files[-2], time_scale=scale, times=snapshots, diameter=spacing)
+        files += [out / f"evolution_{name}.png", out / f"evolution_{name}.pdf", out / f"{name}.gif"]
+        plot_evolution(shown, files[-3:-1], time_scale=scale, times=snapshots, diameter=spacing)
         write_animation(shown, files[-1], time_scale=scale, diameter=spacing, num_frames=num_frames, width=width)
     return files
+
+
+def is_column(scene: Scene) -> bool:
+    """Return whether a scene is one column at rest against the x- wall, on the floor, as the laws are about."""
+    [body, *others] = scene.bodies
+    at_wall = abs(body.position[0] - scene.lower[0]) + abs(body.position[-1] - scene.lower[-1]) < 1e-6
+    return not others and at_wall and not any(body.velocity)
+
+
+def of_columns(reports: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[float, float, float]]]:
+    """Return simulator → aspect ratio, runout of 99 % of the mass and its uncertainty, both in L0, of every column."""
+    nothing = float("nan")
+    return {
+        TITLES[key]: [
+            (
+                each["aspect_ratio"],
+                each[key]["runout_99"] if each[key]["runout_99"] is not None else nothing,
+                each["reference_spread"].get("runout_99", 0.0) if key == "reference" else 0.0,
+            )
+            for each in reports
+        ]
+        for key in TITLES
+    }

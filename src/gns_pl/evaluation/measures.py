@@ -207,3 +207,66 @@ def rollout_mse(squared_error: Floats, num_steps: int) -> float:
     if not 0 < num_steps < len(squared_error):
         return math.nan
     return float(np.mean(squared_error[1 : num_steps + 1]))
+
+
+def solid_fraction(position: Floats, volume: Floats, scene: Scene, cell: float) -> Floats:
+    """Return the share of space that is filled around every particle: 1 inside a body, more where it is squeezed [N].
+
+    Volumes are spread to the nodes of a grid with multilinear weights, divided by the part of each node's cell that
+    lies in the box, and interpolated back. At a surface the mean includes what is empty.
+
+    Args:
+        position: [N, D] [m].
+        volume: of each particle [N] [m^D].
+        scene: for the box.
+        cell: wanted edge of the grid's cells, some spacings [m].
+    """
+    lower, edges = np.array(scene.lower), np.array(scene.upper) - np.array(scene.lower)
+    cells = np.maximum(np.rint(edges / cell), 1).astype(np.int64)
+    size, shape = edges / cells, tuple(cells + 1)
+    place = np.clip((position - lower) / size, 0, cells - 1e-9)
+    base = place.astype(np.int64)
+    part = place - base
+    corners = []
+    for corner in np.ndindex(*(2,) * scene.dim):
+        weight = np.prod(np.where(corner, part, 1 - part), axis=1)
+        corners.append((np.ravel_multi_index(tuple((base + corner).T), shape), weight))
+    filled = np.zeros(math.prod(shape))
+    for index, weight in corners:
+        filled += np.bincount(index, weights=weight * volume, minlength=len(filled))
+    room = np.ones(())
+    for axis in range(scene.dim):
+        along = np.full(shape[axis], size[axis])
+        along[[0, -1]] /= 2
+        room = np.multiply.outer(room, along)
+    fraction = filled / room.ravel()
+    return np.asarray(sum(weight * fraction[index] for index, weight in corners))
+
+
+def sinkhorn_distance(first: Floats, second: Floats, num_points: int = 200) -> float:
+    """Return √S of two clouds of points, S the debiased entropic transport of squared distances [m].
+
+    S = OT_ε(a, b) − OT_ε(a, a) / 2 − OT_ε(b, b) / 2 (Genevay, Peyré and Cuturi 2018) by POT, ε the squared spacing of
+    the points that are compared. It asks where the material is, not which particle is where; of a rigid shift it is
+    the length.
+
+    Args:
+        first: [N, D] [m].
+        second: [M, D] [m].
+        num_points: at most so many of each, evenly chosen by number, are compared.
+    """
+    import os
+
+    for backend in ("PYTORCH", "TENSORFLOW", "JAX", "CUPY"):  # which POT would import, seconds for nothing
+        os.environ.setdefault(f"POT_BACKEND_DISABLE_{backend}", "1")
+    from ot.bregman import empirical_sinkhorn_divergence
+
+    clouds = []
+    for cloud in (first, second):
+        number = min(num_points, len(cloud))
+        clouds.append(np.asarray(cloud, dtype=np.float64)[np.linspace(0, len(cloud) - 1, number).astype(np.int64)])
+    spacing = float(np.median(nearest_neighbour_distance(clouds[1])))
+    clouds = [cloud / spacing for cloud in clouds]
+    settings = {"method": "sinkhorn_log", "numIterMax": 100, "stopThr": 1e-4, "warn": False}
+    found = empirical_sinkhorn_divergence(*clouds, reg=1.0, **settings)
+    return spacing * math.sqrt(max(0.0, float(found)))

@@ -62,6 +62,8 @@ SUMMARY: tuple[Quantity, ...] = (
         "spacing_1", "spacing", "nearest-neighbour distance that 1 % of the particles fall below, least of frames"
     ),
     Quantity("spacing_min", "spacing", "smallest nearest-neighbour distance of any frame looked at"),
+    Quantity("density", "1", "final solid fraction that 75 % of the particles do not exceed; 1 inside a sound body"),
+    Quantity("density_max", "1", "the same, largest of the frames looked at; over 1 the material was squeezed"),
 )
 """Every key of `summarise`, in order."""
 
@@ -86,6 +88,15 @@ ERRORS: tuple[Quantity, ...] = (
 )
 """Every key of `rollout_errors` that compares; the keys of `SUMMARY` follow with the rollout's own values."""
 
+COMPARISON: tuple[Quantity, ...] = (
+    *ERRORS,
+    Quantity("sinkhorn", "spacing", "transport distance of the final deposits (debiased Sinkhorn), over the spacing"),
+)
+"""Every key of `compare`, which takes too long for a training's validation."""
+
+DENSITY_CELL = 2.5
+"""Cells of the grid on which the solid fraction is found, in particle spacings."""
+
 MINIMAL_RUNOUT = 1e-3
 """Relative runout errors are NaN where the reference advances by less than this [L0]."""
 
@@ -103,6 +114,7 @@ def summarise(trajectory: Trajectory, curves: Curves | None = None) -> dict[str,
     depth = measures.penetration(flow) / spacing
     frames = np.unique(np.linspace(0, flow.num_frames - 1, min(SPACING_FRAMES, flow.num_frames)).round().astype(int))
     near = [measures.nearest_neighbour_distance(flow.position[frame].astype(np.float64)) / spacing for frame in frames]
+    dense = [solid_fraction_75(flow, frame) for frame in frames]
     values = {name: float(curves[name][-1]) for name in FINAL}
     return values | {
         "kinetic_energy_peak": float(curves["kinetic_energy"].max()),
@@ -112,7 +124,26 @@ def summarise(trajectory: Trajectory, curves: Curves | None = None) -> dict[str,
         "penetrating_fraction": float((depth > 0.5).mean(axis=1).max()),
         "spacing_1": float(min(np.percentile(distance, 1) for distance in near)),
         "spacing_min": float(min(distance.min() for distance in near)),
+        "density": dense[-1],
+        "density_max": max(dense),
     }
+
+
+def solid_fraction_75(flow: Trajectory, frame: int) -> float:
+    """Return the solid fraction that 75 % of the particles do not exceed in a frame (`measures.solid_fraction`)."""
+    cell = DENSITY_CELL * measures.particle_spacing(flow)
+    position, volume = flow.position[frame].astype(np.float64), flow.volume().astype(np.float64)
+    return float(np.percentile(measures.solid_fraction(position, volume, flow.scene, cell), 75))
+
+
+def compare(predicted: Trajectory, reference: Trajectory) -> dict[str, float]:
+    """Return `rollout_errors`, and besides the transport distance: the entries of `COMPARISON` and `SUMMARY`."""
+    errors = rollout_errors(predicted, reference)
+    distance = math.nan
+    if errors["finite_fraction"] == 1:
+        flows = [mobile(cut(each, reference.num_frames)).position[-1] for each in (predicted, reference)]
+        distance = measures.sinkhorn_distance(*flows) / measures.particle_spacing(mobile(reference))
+    return {**errors, "sinkhorn": distance}
 
 
 def rollout_errors(predicted: Trajectory, reference: Trajectory) -> dict[str, float]:

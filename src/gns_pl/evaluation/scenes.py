@@ -9,15 +9,18 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.measures import characteristic_time
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
 
+T = TypeVar("T")
+
 
 def build_scenes(
-    specifications: Mapping[str, Any],
+    columns: Mapping[str, Any],
+    files: Sequence[str] | str | None,
     *,
     only: Sequence[str] | str | None,
     domain: Sequence[float],
@@ -28,7 +31,8 @@ def build_scenes(
     """Return name → scene.
 
     Args:
-        specifications: name → {length, height} of a column [m], or the path of a scene file.
+        columns: name → {length, height} of a column [m].
+        files: scene files, which are run in the columns' place under their own names; None for the columns.
         only: names to keep; None keeps all.
         domain: edge lengths of the columns' box, x, y and z [m]; y is left out for data in two dimensions.
         duration: simulated time of the columns, in characteristic times τc.
@@ -36,40 +40,59 @@ def build_scenes(
         data: the specification of the checkpoint's data; its gravity, material and walls are the columns'.
 
     Raises:
-        InputError: an unknown name in `only`, no scene at all, a scene that cannot be built, or data that do not say
-            what they are made of.
+        InputError: an unknown name in `only`, no scene at all, two of one name, a scene that cannot be built, or data
+            that do not say what they are made of.
     """
-    only = [only] if isinstance(only, str) else only
-    unknown = [name for name in only or () if name not in specifications]
-    if unknown:
-        raise InputError(f"evaluation.only: no scene {', '.join(unknown)}; known are {', '.join(specifications)}.")
-    chosen = {name: spec for name, spec in specifications.items() if spec is not None and (not only or name in only)}
-    if not chosen:
-        raise InputError("evaluation.scenes: there is no scene to evaluate.")
     if not isinstance(duration, int | float) or not (math.isfinite(duration) and duration > 0):
         raise InputError(f"evaluation.duration must be positive, in characteristic times, not {duration}.")
-    scenes = {}
-    for name, spec in chosen.items():
-        if not re.fullmatch(r"[\w.-]+", name):
-            raise InputError(f"evaluation.scenes: {name!r} must be a word (letters, digits, . _ -): it names files.")
-        if isinstance(spec, str):
-            scenes[name] = read_scene(Path(spec))
-            characteristic_time(scenes[name])  # refuses a scene without gravity before it is simulated
-            continue
+    scenes: dict[str, Scene] = {}
+    if files is not None:
+        for file in [files] if isinstance(files, str) else files:
+            scene = read_scene(Path(file))
+            characteristic_time(scene)  # refuses a scene without gravity before it is simulated
+            if scene.name in scenes:
+                raise InputError(f"evaluation.scenes: two scenes are called {scene.name!r}; rename one in its file.")
+            scenes[scene.name] = scene
+        return chosen(scenes, only, "evaluation.scenes")
+    for name, spec in chosen({key: spec for key, spec in columns.items() if spec is not None}, only).items():
         scene = _column(name, spec, domain, data)
         frames = math.ceil(duration * characteristic_time(scene) / interval - 1e-6)
         scenes[name] = scene.replace(duration=frames * interval)
     return scenes
 
 
+def chosen(scenes: Mapping[str, T], only: Sequence[str] | str | None, what: str = "evaluation.columns") -> dict[str, T]:
+    """Return those that are wanted.
+
+    Args:
+        scenes: name → anything.
+        only: names to keep; None keeps all.
+        what: they come from, for messages.
+
+    Raises:
+        InputError: an unknown name, one that can name no file, or nothing left.
+    """
+    only = [only] if isinstance(only, str) else only
+    unknown = [name for name in only or () if name not in scenes]
+    if unknown:
+        raise InputError(f"evaluation.only: no scene {', '.join(unknown)}; known are {', '.join(scenes)}.")
+    kept = {name: scene for name, scene in scenes.items() if not only or name in only}
+    if not kept:
+        raise InputError(f"{what}: there is no scene to evaluate.")
+    for name in kept:
+        if not re.fullmatch(r"[\w.-]+", name):
+            raise InputError(f"{what}: {name!r} must be a word (letters, digits, . _ -): it names files.")
+    return kept
+
+
 def _column(name: str, spec: Any, domain: Sequence[float], data: Mapping[str, Any]) -> Scene:
     if not isinstance(spec, Mapping) or sorted(spec) != ["height", "length"]:
-        raise InputError(f"evaluation.scenes.{name} must be {{length, height}} in metres or the path of a scene file.")
+        raise InputError(f"evaluation.columns.{name} must be {{length, height}} in metres.")
     missing = [key for key in ("gravity", "material", "walls") if key not in data]
     if missing:
         raise InputError(
             f"this checkpoint's data do not state their {', '.join(missing)}, so no column can be built; "
-            "give a scene file: '+evaluation.scenes.mine=scene.yaml' 'evaluation.only=[mine]'."
+            "give scene files: 'evaluation.scenes=[scene.yaml]'."
         )
     box = list(domain) if len(data["walls"]) == 6 else [domain[0], domain[-1]]
     geometry: dict[str, Any] = {

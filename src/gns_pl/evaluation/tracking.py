@@ -59,10 +59,12 @@ def log_evaluation(
 
 
 def _table(wandb: Any, document: Mapping[str, Any]) -> Any:
-    table = wandb.Table(columns=["scene", "quantity", "reference", "learned", "no_motion"])
+    table = wandb.Table(columns=["scene", "quantity", "reference", "spread", "learned", "no_motion"])
     for name, scene in document["scenes"].items():
         for key in scene["reference"]:
-            table.add_data(name, key, *(scene[who][key] for who in ("reference", "learned", "no_motion")))
+            own = scene["reference_spread"].get(key)
+            table.add_data(name, key, scene["reference"][key], own, scene["learned"][key], scene["no_motion"][key])
         for key, value in scene["errors"]["learned"].items():
-            table.add_data(name, key, None, value, scene["errors"]["no_motion"][key])
+            own = scene["reference_spread"].get(key)
+            table.add_data(name, key, None, own, value, scene["errors"]["no_motion"][key])
     return table

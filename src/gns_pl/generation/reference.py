@@ -17,6 +17,7 @@ from gns_pl.errors import InputError
 from gns_pl.generation import solver
 from gns_pl.generation.lock import locked
 from gns_pl.io import StorageError, read_trajectory, remove_temporary_files, write_trajectory
+from gns_pl.machine import machine_name
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 
@@ -104,5 +105,6 @@ def _run(scene: Scene, settings: Mapping[str, Any], frame_interval: float, seed:
         **trajectory.provenance,
         "solver_version": solver.solver_version(),
         "wall_seconds": wall_seconds,
+        "machine": machine_name(),
     }
     return dataclasses.replace(trajectory, provenance=provenance)

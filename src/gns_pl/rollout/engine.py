@@ -18,6 +18,7 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
+from gns_pl.machine import machine_name
 from gns_pl.rollout.rest import Rest
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, ballistic_history
@@ -196,4 +197,5 @@ def rollout(
     provenance["wall_seconds"] = time.perf_counter() - began
     provenance["device"] = str(simulator.velocity_scale.device)
     provenance["num_threads"] = torch.get_num_threads()
+    provenance["machine"] = machine_name()
     return replace(start, position=np.stack(frames), dt=simulator.config.dt, provenance=provenance)

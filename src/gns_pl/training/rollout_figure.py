@@ -72,7 +72,7 @@ def draw_rollout(predicted: Trajectory, reference: Trajectory, *, curves: Path, 
     plot_curves({reference.scene.name: named}, ("runout", "height"), [curves])
     plot_evolution(
         {"learned": predicted, "MPM": reference},
-        deposit,
+        [deposit],
         time_scale=characteristic_time(reference.scene),
         times=[],
         diameter=particle_spacing(reference),

@@ -6,6 +6,7 @@ matplotlib and pillow (extra `viz`) are imported inside the functions that draw.
 from importlib.util import find_spec
 
 from gns_pl.viz.animation import write_animation
+from gns_pl.viz.laws import plot_laws
 from gns_pl.viz.learning_curve import plot_learning_curve
 from gns_pl.viz.plots import plot_curves, plot_evolution
 from gns_pl.viz.sweep import SweepPoint, plot_sweep
@@ -15,6 +16,7 @@ __all__ = [
     "missing_packages",
     "plot_curves",
     "plot_evolution",
+    "plot_laws",
     "plot_learning_curve",
     "plot_sweep",
     "write_animation",

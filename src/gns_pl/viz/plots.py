@@ -36,6 +36,10 @@ STYLE: Any = {
 }
 
 
+STATIC = 0.02
+"""What has moved by less than this share of the bodies' height belongs to the static part."""
+
+
 @dataclass(frozen=True)
 class Panel:
     """One kind of axes over time.
@@ -120,7 +124,7 @@ def _draw_panel(axes: Any, panel: Panel, simulators: Mapping[str, Mapping[str, F
 
 def plot_evolution(
     trajectories: Mapping[str, Trajectory],
-    path: Path,
+    paths: Sequence[Path],
     *,
     time_scale: float,
     times: Sequence[float],
@@ -129,10 +133,12 @@ def plot_evolution(
 ) -> None:
     """Draw snapshots from the side, one column per simulator and one row per time, coloured by displacement.
 
+    A line is the failure surface: below it lies what has moved by less than `STATIC` of the body's height so far.
+
     Args:
         trajectories: title → trajectory of one scene; the last one is the reference, which sets the colour scale and
             the last time. One that ends before a row's time leaves its place empty and says so.
-        path: file to write.
+        paths: files to write; the ending says the format. Particles are an image in all of them.
         time_scale: τc [s].
         times: of the rows [τc], those beyond the end left out; the end comes besides.
         diameter: of a grain [m].
@@ -162,7 +168,8 @@ def plot_evolution(
         for axes in grid[-1]:
             axes.set_xlabel("x [m]")
         figure.colorbar(colours, ax=grid, label="displacement [m]", extend="max", shrink=0.6, aspect=30)
-        figure.savefig(path)
+        for path in paths:
+            figure.savefig(path)
 
 
 def _draw_snapshot(axes: Any, trajectory: Trajectory, time: float, view: View, diameter: float, colours: Any) -> None:
@@ -181,3 +188,36 @@ def _draw_snapshot(axes: Any, trajectory: Trajectory, time: float, view: View, d
     image[..., :3] *= np.nan_to_num(shades)[..., None]
     image[..., 3] = np.isfinite(values)
     axes.imshow(image, extent=(view.lower[0], view.upper[0], view.lower[1], view.upper[1]), zorder=3)
+    if frame:
+        along, surface = failure_surface(trajectory, frame, diameter)
+        axes.plot(along, surface, color="white", linewidth=2.2, zorder=4, drawstyle="steps-mid")
+        axes.plot(along, surface, color="black", linewidth=1.0, zorder=5, drawstyle="steps-mid")
+
+
+def failure_surface(trajectory: Trajectory, frame: int, diameter: float) -> tuple[Floats, Floats]:
+    """Return how high the static part reaches in bins along x [m].
+
+    Args:
+        trajectory: of one scene.
+        frame: at which a particle is static that has moved by less than `STATIC` of the bodies' height.
+        diameter: of a grain [m]; bins are two of them wide.
+
+    Returns:
+        Middles of the bins and the surface's z there, both [B]; NaN where nothing is static.
+    """
+    scene = trajectory.scene
+    bodies_height = max(body.upper[-1] for body in scene.bodies) - min(body.position[-1] for body in scene.bodies)
+    still = displacement(trajectory, frame) < STATIC * bodies_height
+    width, length = 2 * diameter, scene.upper[0] - scene.lower[0]
+    number = max(1, round(length / width))
+    x, z = trajectory.position[frame].astype(np.float64)[:, [0, -1]].T
+    index = np.clip((x - scene.lower[0]) / length * number, 0, number - 1).astype(np.int64)
+    surface = np.full(number, np.nan)
+    for bin_number in np.unique(index[still]):
+        inside = index == bin_number
+        moving: Floats = z[inside & ~still]
+        # Where both overlap, as grains of several depths do, in the middle.
+        top = float(np.percentile(z[inside & still], 95)) + diameter / 2
+        lowest = float(np.percentile(moving, 5)) - diameter / 2 if len(moving) else top
+        surface[bin_number] = max(scene.lower[-1], (top + lowest) / 2 if lowest < top else top)
+    return scene.lower[0] + (np.arange(number) + 0.5) * length / number, surface

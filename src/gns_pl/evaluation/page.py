@@ -1,0 +1,124 @@
+"""One page about an evaluation, for people: figures, tables and provenance in an HTML file that needs no other."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gns_pl.evaluation.report import HEADER, NOTE, describe, number, percent, scene_rows
+from gns_pl.io import atomic_path
+
+TEMPLATE = "report.html"
+
+SHARED = (
+    ("runout_height", "Runout and height over time"),
+    ("laws", "Runout beside published laws"),
+    ("energy", "Energy and speed"),
+)
+"""Figures of all scenes together: name of the file, caption."""
+
+OF_SCENE = (("evolution_{}.png", "Snapshots; the line is the failure surface"), ("{}.gif", "The whole run"))
+"""Figures of one scene: name of the file, caption."""
+
+COMPARED = (
+    ("runout 99 %", "runout_99_error"),
+    ("height 99 %", "height_99_error"),
+    ("mean height", "mean_height_error"),
+    ("deposit profile", "profile_l1"),
+)
+"""Errors by which checkpoints are compared: label, key."""
+
+
+def write_page(path: Path, documents: Mapping[str, Mapping[str, Any]], folders: Mapping[str, Path]) -> Path:
+    """Write the page and return its path.
+
+    Args:
+        path: of the HTML file.
+        documents: name of a checkpoint → content of its metrics.json.
+        folders: name → where its figures lie; those that are not there are left out.
+    """
+    from jinja2 import Environment, PackageLoader
+
+    environment = Environment(loader=PackageLoader("gns_pl.evaluation", "."), autoescape=True, trim_blocks=True)
+    environment.filters |= {"number": number, "percent": percent}
+    models = [_model(name, document, folders[name]) for name, document in documents.items()]
+    scenes = list(dict.fromkeys(scene for document in documents.values() for scene in document["scenes"]))
+    text = environment.get_template(TEMPLATE).render(
+        models=models, scenes=scenes, header=HEADER, note=NOTE, compared=COMPARED, documents=documents
+    )
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def _model(name: str, document: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what the page says of one checkpoint."""
+    scenes = {
+        key: {
+            "text": describe(scene).replace("**", ""),
+            "rows": scene_rows(scene),
+            "figures": [_figure(folder / pattern.format(key), caption) for pattern, caption in OF_SCENE],
+            "verdict": verdict(scene),
+        }
+        for key, scene in document["scenes"].items()
+    }
+    return {
+        "name": name,
+        "scenes": scenes,
+        "figures": [_figure(folder / f"{file}.png", caption) for file, caption in SHARED],
+        "provenance": provenance(document),
+    }
+
+
+def _figure(path: Path, caption: str) -> dict[str, str] | None:
+    if not path.is_file():
+        return None
+    kind = "gif" if path.suffix == ".gif" else "png"
+    return {"source": f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode()}", "caption": caption}
+
+
+def verdict(scene: Mapping[str, Any]) -> str:
+    """Return one sentence about a scene: how far the runout is off, beside what the reference leaves open, and when."""
+    if scene["failed_at"] is not None:
+        return f"The rollout failed after {scene['failed_at']:.3g} s: there is nothing to judge."
+    errors, spread, wall = scene["errors"]["learned"], scene["reference_spread"], scene["wall_seconds"]
+    if errors["runout_99_error"] is None:
+        return "The reference does not advance, so there is no relative error of the runout."
+    error = errors["runout_99_error"]
+    text = f"The final runout of 99 % of the mass is {abs(100 * error):.1f} % {'longer' if error > 0 else 'shorter'}"
+    text += " than by MPM"
+    own, truth = spread.get("runout_99"), scene["reference"]["runout_99"]
+    if own is not None and truth:
+        text += f", which itself changes by {100 * own / abs(truth):.0f} % on other cells"
+    if wall["learned"] and wall["reference"]:
+        ratio = wall["reference"] / wall["learned"]
+        text += f"; {number(wall['learned'])} s instead of {number(wall['reference'])} s, "
+        text += f"{ratio:.2g} times faster" if ratio >= 1 else f"{1 / ratio:.2g} times slower"
+    return f"{text}."
+
+
+def provenance(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return where the numbers come from: label, text."""
+    checkpoint, run = document["checkpoint"], document["run"]
+    made, model, data = checkpoint["provenance"], checkpoint["model"], checkpoint["data"]
+    shape = f"{model['num_message_passing_steps']} message-passing steps, {model['latent_size']} wide"
+    shape += (
+        f", radius {model['connectivity_radius']:g} m, steps of {model['dt']:.3g} s, spacing {model['spacing']:.3g} m"
+    )
+    rows = [
+        ("description", str(made.get("description", ""))),
+        ("network", shape),
+        ("trained for", f"{made['steps']:,} steps" if "steps" in made else ""),
+        ("data set", str(data.get("name", ""))),
+        ("hash of the data", str(made.get("manifest_sha256", ""))),
+        ("commit of the training", str(made.get("commit", ""))),
+        ("this evaluation", f"{run['command']}, {run['date']}"),
+        ("machine", str(run["machine"])),
+        (
+            "versions",
+            f"Python {run['python']}, " + ", ".join(f"{key} {value}" for key, value in run["versions"].items()),
+        ),
+    ]
+    return [row for row in rows if row[1]]

@@ -1,0 +1,77 @@
+"""What a rollout is judged against: other cells tell what the reference leaves open; a split is found where it lies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gns_pl.checkpoint import Checkpoint
+from gns_pl.errors import InputError
+from gns_pl.evaluation import references
+from gns_pl.evaluation.references import reference_of, resolution_spread, stored_references
+from gns_pl.generation import generate_dataset
+from tests.conftest import MPM as mpm_settings
+from tests.conftest import make_simulator
+from tests.evaluation.made_up import SPACING, column, spreading
+from tests.evaluation.test_scenes import DATA
+
+MPM = {**mpm_settings, "cell_size": 0.1, "points_per_direction": 2}
+
+
+def test_other_cells_give_their_largest_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def made_up(scene, *, mpm, frame_interval, seed, cache_directory):
+        asked.append(mpm["cell_size"])
+        share = {0.1: 1.0, 0.15: 0.8, 0.05: 1.1}[round(mpm["cell_size"], 3)]
+        return spreading(scene, 20, share=share, dt=frame_interval)
+
+    monkeypatch.setattr(references, "reference_trajectory", made_up)
+    checkpoint = Checkpoint(make_simulator(dt=0.02), {**DATA, "mpm": MPM}, {})
+    found = reference_of(column(), checkpoint, cache=tmp_path, seed=0, cells=[1.5, 0.5])
+    assert asked == pytest.approx([0.1, 0.15, 0.05]) and found.cells == (1.5, 0.5)
+    # Lengths of 1 + share: 1.8, 2 and 2.1 times the first.
+    assert found.spread["runout_max"] == pytest.approx(0.2 * 0.375 / 0.4, rel=1e-3)
+    assert found.spread["mean_height"] == pytest.approx(0.1 * (1 / 1.8 - 1 / 2), rel=0.01)
+    assert found.spread["sinkhorn"] * SPACING == pytest.approx(0.2 * 0.4 / 3**0.5, rel=0.1)
+    assert "mse_1" not in found.spread
+    assert reference_of(column(), checkpoint, cache=tmp_path, seed=0).spread == {}
+    with pytest.raises(InputError, match=r"evaluation\.spread: sizes of cells"):
+        reference_of(column(), checkpoint, cache=tmp_path, seed=0, cells=[-1])
+
+
+def test_the_same_run_has_no_spread() -> None:
+    values = resolution_spread(spreading(), [spreading()], SPACING)
+    assert max(values.values()) < 1e-6 and resolution_spread(spreading(), [], SPACING) == {}
+
+
+def test_a_split_of_the_data_set(tmp_path: Path) -> None:
+    data = {
+        **DATA,
+        "name": "tiny",
+        "root": str(tmp_path / "tiny"),
+        "seed": 0,
+        "frame_interval": 0.01,
+        "mpm": MPM,
+        "families": {
+            "cube_drop": {
+                "count": 3, "valid": 1, "test": 1, "duration": 0.05, "domain": [1, 1, 1], "side": [0.3, 0.3],
+                "speed": 0.1, "max_drop": 0.1,
+            }
+        },
+    }  # fmt: skip
+    checkpoint = Checkpoint(make_simulator(dt=0.02), data, {})
+    with pytest.raises(InputError, match="holds no data; make them: python generate"):
+        stored_references(checkpoint, "test")
+    generate_dataset(data, num_workers=1, progress=False)
+    [(name, reference)] = stored_references(checkpoint, "test").items()
+    assert name.startswith("trajectory_") and reference.spread == {}
+    assert reference.trajectory.dt == pytest.approx(0.02) and reference.trajectory.num_frames == 3
+    assert np.isfinite(reference.trajectory.position).all()
+    with pytest.raises(InputError, match="must be one of train, valid, test, not 'exam'"):
+        stored_references(checkpoint, "exam")
+    with pytest.raises(InputError, match="does not say where its data are"):
+        stored_references(replace(checkpoint, data=DATA), "test")
