@@ -46,7 +46,7 @@ def test_a_column_collapses_and_comes_to_rest() -> None:
     checkpoint = load_checkpoint("collapse")
     config, data = checkpoint.simulator.config, checkpoint.data
     specification = {"column": {"length": 0.25, "height": 0.3}}
-    settings = {"only": None, "domain": [1.2, 0.25, 0.5], "duration": 6.0, "interval": config.dt}
+    settings = {"files": None, "only": None, "domain": [1.2, 0.25, 0.5], "duration": 6.0, "interval": config.dt}
     scene = build_scenes(specification, data=data, **settings)["column"]
     grains = fill_scene(scene, config.spacing, jitter=data["mpm"]["jitter"], generator=np.random.default_rng(0))
     found = rollout(checkpoint.simulator, start_trajectory(scene, grains, config.dt, {}), 60).position
