@@ -7,6 +7,7 @@ from importlib.util import find_spec
 
 from gns_pl.viz.animation import write_animation
 from gns_pl.viz.learning_curve import plot_learning_curve
+from gns_pl.viz.paraview import write_paraview
 from gns_pl.viz.plots import plot_curves, plot_evolution
 from gns_pl.viz.sweep import SweepPoint, plot_sweep
 
@@ -18,6 +19,7 @@ __all__ = [
     "plot_learning_curve",
     "plot_sweep",
     "write_animation",
+    "write_paraview",
 ]
 
 
