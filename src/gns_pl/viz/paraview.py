@@ -1,7 +1,7 @@
 """Trajectories as ParaView series: one VTK file per frame, and a list of them with their times.
 
-Points in VTK's XML format are a short header and the bytes of the arrays, put together here: nothing needs to be installed
-to write them. Two-dimensional trajectories lie in the plane y = 0.
+Points in VTK's XML format are a short header and the bytes of the arrays, put together here: nothing needs to be
+installed to write them. Two-dimensional trajectories lie in the plane y = 0.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.io.atomic import remove_temporary_files, write_atomically
 from gns_pl.trajectory import Trajectory
+from gns_pl.viz.stage import in_space
 
 Array = NDArray[np.float32] | NDArray[np.int32]
 
@@ -60,7 +61,7 @@ def write_paraview(
             path.unlink()
     for frame, file in files.items():
         arrays = _arrays(trajectory, frame, reference)
-        write_atomically(folder / file, _poly_data(_in_space(trajectory.position[frame]), arrays))
+        write_atomically(folder / file, _poly_data(in_space(trajectory.position[frame]), arrays))
     entries = "".join(
         f'    <DataSet timestep="{frame * trajectory.dt:.10g}" part="0" file={quoteattr(file)}/>\n'
         for frame, file in files.items()
@@ -96,8 +97,8 @@ def _arrays(trajectory: Trajectory, frame: int, reference: Trajectory | None) ->
     around = replace(trajectory, position=trajectory.position[max(frame - 1, 0) : frame + 1])
     velocity = around.velocity()[-1]  # of two frames: those of all would take three times the trajectory's memory
     arrays: dict[str, Array] = {
-        "velocity": _in_space(velocity),
-        "displacement": _in_space(position - trajectory.position[0]),
+        "velocity": in_space(velocity),
+        "displacement": in_space(position - trajectory.position[0]),
         "speed": np.linalg.norm(velocity, axis=1).astype(np.float32),
         "mass": trajectory.mass.astype(np.float32),
         "particle_type": trajectory.particle_type.astype(np.int32),
@@ -105,15 +106,8 @@ def _arrays(trajectory: Trajectory, frame: int, reference: Trajectory | None) ->
     for feature, values in zip(trajectory.material_features, trajectory.material.T, strict=True):
         arrays[feature] = values.astype(np.float32)
     if reference is not None:
-        arrays["error"] = _in_space(position - reference.position[frame])
+        arrays["error"] = in_space(position - reference.position[frame])
     return arrays
-
-
-def _in_space(vectors: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return vectors [N, D] in three dimensions [N, 3], y = 0 where there were two."""
-    space = np.zeros((len(vectors), 3), dtype=np.float32)
-    space[:, [0, 2] if vectors.shape[1] == 2 else [0, 1, 2]] = vectors
-    return space
 
 
 def _poly_data(points: NDArray[np.float32], arrays: Mapping[str, Array]) -> bytes:

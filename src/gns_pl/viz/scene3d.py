@@ -21,6 +21,7 @@ from gns_pl.io.atomic import atomic_path
 from gns_pl.trajectory import Trajectory
 from gns_pl.viz.notebook import interactive
 from gns_pl.viz.plots import STYLE
+from gns_pl.viz.raster import colour_map
 from gns_pl.viz.stage import (
     COLOURINGS,
     Camera,
@@ -52,8 +53,11 @@ INCHES = 7.0
 PLAY_SECONDS = 4.0
 """Playing time of a film."""
 
-OVERSAMPLING = 2
-"""Pixels drawn along a side of a pixel kept."""
+FINE, QUICK = 2, 1
+"""Pixels drawn along a side of a pixel kept, in a still and in a film."""
+
+GAP, SIDE = 0.1, 0.2
+"""Between pictures, and beside and below each for the lengths of its edges [inches]."""
 
 
 def render_still(
@@ -66,7 +70,7 @@ def render_still(
     title: str = "",
     side_by_side: Mapping[str, Trajectory] | None = None,
     limit: float | None = None,
-    width: int = 2100,
+    width: int = 1680,
 ) -> Path:
     """Write a picture of one moment as a PNG.
 
@@ -97,7 +101,7 @@ def render_still(
         time = number * trajectory.dt
     elif not -0.5 <= time / trajectory.dt <= trajectory.num_frames - 0.5:
         raise InputError(f"picture: time must lie in 0 … {trajectory.time[-1]:g} s, not {time:g}.")
-    with _Sheet({title: trajectory, **(side_by_side or {})}, colour, width, limit) as sheet:
+    with _Sheet({title: trajectory, **(side_by_side or {})}, colour, width, limit, FINE) as sheet:
         from PIL import Image
 
         with atomic_path(path) as temporary:
@@ -118,8 +122,8 @@ def render_film(
 
     Args:
         path: file to write; its ending says the format.
-        trajectories: title → trajectory of one box; the last one is the reference, which sets the moments and the colour
-            scale. One that ends earlier leaves its place empty from there on.
+        trajectories: title → trajectory of one box; the last one is the reference, which sets the moments and the
+            colour scale. One that ends earlier leaves its place empty from there on.
         num_frames: at most this many, evenly spaced in time from the first to the last.
         colour: "displacement" or "speed".
         limit: upper end of the colour scale [m or m/s]; what 99 % of the grains never exceed if None.
@@ -138,7 +142,7 @@ def render_film(
     if num_frames < 1:
         raise InputError(f"film: num_frames must be at least 1, not {num_frames}.")
     _require("imageio", "imageio_ffmpeg")
-    with _Sheet(trajectories, colour, width, limit) as sheet, atomic_path(path) as temporary:
+    with _Sheet(trajectories, colour, width, limit, QUICK) as sheet, atomic_path(path) as temporary:
         reference = list(trajectories.values())[-1]
         moments = [frame * reference.dt for frame in evenly(reference.num_frames, num_frames)]
         with _open_film(temporary, path.suffix, len(moments) / PLAY_SECONDS) as film:
@@ -152,10 +156,10 @@ def _open_film(temporary: Path, suffix: str, frames_per_second: float) -> Any:
     import imageio.v2 as imageio
 
     if suffix == ".gif":
-        return imageio.get_writer(temporary, format="GIF", duration=1000 / frames_per_second, loop=0)  # type: ignore[arg-type]
+        return imageio.get_writer(temporary, format="GIF", duration=1000 / frames_per_second, loop=0)
     return imageio.get_writer(
         temporary,
-        format="FFMPEG",  # type: ignore[arg-type]
+        format="FFMPEG",
         fps=frames_per_second,
         codec="libx264",
         macro_block_size=2,
@@ -183,7 +187,9 @@ def _draws_without_screen() -> bool:
 class _Sheet:
     """A figure with a picture per trajectory, whose scenery is drawn once and whose grains at every moment."""
 
-    def __init__(self, trajectories: Mapping[str, Trajectory], colour: str, width: int, limit: float | None) -> None:
+    def __init__(
+        self, trajectories: Mapping[str, Trajectory], colour: str, width: int, limit: float | None, oversampling: int
+    ) -> None:
         self.trajectories = dict(trajectories)
         self.colour = colour
         window = window_of(list(self.trajectories.values()))
@@ -193,17 +199,17 @@ class _Sheet:
         self.camera = camera_of(window, reference.scene.dim)
         self.time_scale = collapse_time(reference.scene)
         self.diameters = [grain_diameters(trajectory) for trajectory in self.trajectories.values()]
-        self.width, self.resolution = width + width % 2, width / INCHES
-        gap, top, bottom = 0.15, 0.42, 0.5
-        panel = (INCHES - 0.1 - gap * (len(self.trajectories) - 1)) / len(self.trajectories)
+        number = len(self.trajectories)
+        self.resolution = width / INCHES
+        panel = (INCHES - GAP * (number - 1)) / number - 2 * SIDE
         self.columns = round(panel * self.resolution)
         self.rows = round(self.columns / self.camera.ratio)
-        self.top = round(top * self.resolution)
-        height = self.top + self.rows + round(bottom * self.resolution)
-        self.height = height + height % 2
-        self.lefts = [round((0.05 + index * (panel + gap)) * self.resolution) for index in range(len(self.diameters))]
+        self.lefts = [round((SIDE + index * (panel + 2 * SIDE + GAP)) * self.resolution) for index in range(number)]
+        self.top = round((0.42 if any(self.trajectories) else 0.25) * self.resolution)
+        height = self.top + self.rows + round((SIDE + 0.5) * self.resolution)
+        self.shape = (height + height % 2, width + width % 2)  # H.264 wants even numbers
+        self.studio = _Studio(window, self.camera, reference, (self.columns, self.rows), oversampling)
         self.scenery = self._scenery(window)
-        self.studio = _Studio(window, self.camera, reference, (self.columns, self.rows))
 
     def __enter__(self) -> _Sheet:
         return self
@@ -215,58 +221,53 @@ class _Sheet:
 
     def draw(self, time: float) -> Pixels:
         """Return the figure at a time [s] as pixels [rows, columns, 3]."""
-        page = np.full((self.height, self.width, 3), 255, dtype=np.uint8)
+        page = self.scenery.copy()
         for left, diameters, trajectory in zip(self.lefts, self.diameters, self.trajectories.values(), strict=True):
             frame = round(time / trajectory.dt)
-            shown = frame < trajectory.num_frames
-            picture = self.studio.picture(
-                in_space(trajectory.position[frame]) if shown else np.empty((0, 3), dtype=np.float32),
-                colours_of(trajectory, frame, self.colour, self.limit) if shown else np.empty((0, 3), dtype=np.uint8),
-                diameters if shown else np.empty(0),
-            )
-            page[self.top : self.top + self.rows, left : left + self.columns] = picture
-        alpha = self.scenery[..., 3:].astype(np.float32) / 255
-        page = np.asarray((page * (1 - alpha) + self.scenery[..., :3] * alpha).round(), dtype=np.uint8)
+            if frame < trajectory.num_frames:
+                colours = colours_of(trajectory, frame, self.colour, self.limit)
+                picture = self.studio.picture(in_space(trajectory.position[frame]), colours, diameters)
+            else:
+                picture = self.studio.picture(np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8), np.empty(0))
+            place = page[self.top : self.top + self.rows, left : left + self.columns]
+            np.minimum(place, picture, out=place)  # ink of the scenery stays
         stamp = self._stamp(time)
-        page[: len(stamp), -stamp.shape[1] :] = np.minimum(page[: len(stamp), -stamp.shape[1] :], stamp)
+        page[: len(stamp)] = np.minimum(page[: len(stamp)], stamp)
         return page
 
     def _stamp(self, time: float) -> Pixels:
         """Return the line over the pictures that says the time."""
         scale = "" if self.time_scale is None else f" = {time / self.time_scale:.2f} $\\tau_c$"
-        figure = _figure(self.width / 2, 0.22 * self.resolution, self.resolution)
-        figure.text(1 - 0.05 / (INCHES / 2), 0.4, f"$t$ = {time:.3f} s{scale}", size=8, ha="right", va="center")
-        return _pixels(figure)[..., :3]
+        figure = _figure(self.shape[1], round(0.24 * self.resolution), self.resolution)
+        figure.text(0.5, 0.4, f"$t$ = {time:.3f} s{scale}", size=8, ha="center", va="center")
+        return _pixels(figure)
 
     def _scenery(self, window: Window) -> Pixels:
-        """Return titles, lengths of the box and the colour bar, on nothing [rows, columns, 4]."""
+        """Return titles, lengths of the box and the colour bar on white [rows, columns, 3]."""
         import matplotlib as mpl
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
 
-        from gns_pl.viz.raster import colour_map
-
+        height, width = self.shape
+        inch = self.resolution / height
         with mpl.rc_context(STYLE):
-            figure = _figure(self.width, self.height, self.resolution)
-            figure.patch.set_alpha(0)
+            figure = _figure(width, height, self.resolution)
             for left, title in zip(self.lefts, self.trajectories, strict=True):
-                place = (left / self.width, 1 - (self.top + self.rows) / self.height)
-                axes = figure.add_axes((*place, self.columns / self.width, self.rows / self.height))
-                axes.set(xlim=(0, 1), ylim=(0, 1))
+                place = (left / width, 1 - (self.top + self.rows) / height, self.columns / width, self.rows / height)
+                axes = figure.add_axes(place, xlim=(0, 1), ylim=(0, 1))
                 axes.axis("off")
-                axes.set_title(title, loc="left", pad=2, fontweight="bold")
+                axes.set_title(title, loc="left", pad=3, fontweight="bold")
                 _write_lengths(axes, window, self.camera)
-            bar = figure.add_axes((0.33, 0.3 / (self.height / self.resolution), 0.34, 0.07 * self.resolution / self.height))
-            figure.colorbar(
-                ScalarMappable(Normalize(0, self.limit), colour_map()), cax=bar, orientation="horizontal", extend="max"
-            )
+            bar = figure.add_axes((0.33, 0.36 * inch, 0.34, 0.08 * inch))
+            values = ScalarMappable(Normalize(0, self.limit), colour_map())
+            figure.colorbar(values, cax=bar, orientation="horizontal", extend="max", extendfrac=0.03)
             bar.set_xlabel(COLOURINGS[self.colour], labelpad=1)
             bar.tick_params(width=0.6, length=2, pad=1.5, labelsize=7)
             bar.locator_params(nbins=5)
             return _pixels(figure)
 
 
-def _figure(width: float, height: float, resolution: float) -> Any:
+def _figure(width: int, height: int, resolution: float) -> Any:
     """Return an empty figure of a size in pixels."""
     from matplotlib.figure import Figure
 
@@ -274,64 +275,68 @@ def _figure(width: float, height: float, resolution: float) -> Any:
 
 
 def _pixels(figure: Any) -> Pixels:
-    """Return a figure's pixels [rows, columns, 4]."""
+    """Return a figure's pixels [rows, columns, 3]."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas: Any = FigureCanvasAgg(figure)  # untyped in matplotlib
     canvas.draw()
-    return np.array(canvas.buffer_rgba(), dtype=np.uint8)
+    return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]
 
 
 def _write_lengths(axes: Any, window: Window, camera: Camera) -> None:
-    """Write how long the box's edges are, along its front, its right and its left."""
+    """Write how long the box is along the edges nearest to the reader, outside the box and along the edge."""
     lower, upper = window.lower, window.upper
-    ends = {
-        "x": ([lower[0], lower[1], lower[2]], [upper[0], lower[1], lower[2]], "center", "top"),
-        "y": ([upper[0], lower[1], lower[2]], [upper[0], upper[1], lower[2]], "left", "top"),
-        "z": ([lower[0], lower[1], lower[2]], [lower[0], lower[1], upper[2]], "right", "center"),
-    }
+    starts = {"x": lower, "y": np.array([upper[0], lower[1], lower[2]]), "z": lower}
+    _, _, columns, rows = axes.get_window_extent().bounds
     for axis in window.sides:
-        start, end, horizontal, vertical = ends[axis]
-        seen = camera.project(np.array([start, end]))
-        length = float(np.abs(np.subtract(end, start)).sum())
-        axes.text(*seen.mean(axis=0), f" ${axis}$: {length:.3g} m ", size=7, color="0.25", ha=horizontal, va=vertical)
+        index = "xyz".index(axis)
+        length = float(upper[index] - lower[index])
+        start, end = camera.project(starts[axis] + length * np.array([[0.0], [1.0]]) * np.eye(3)[index])
+        along = (end - start) * [columns, rows]
+        along /= np.linalg.norm(along)
+        outwards = np.array([-along[1], along[0]]) if axis == "z" else np.array([along[1], -along[0]])
+        axes.annotate(
+            f"{length:.3g} m",
+            0.5 * (start + end),
+            xytext=tuple(7 * outwards),
+            textcoords="offset points",
+            rotation=float(np.degrees(np.arctan2(along[1], along[0]))),
+            rotation_mode="anchor",
+            ha="center",
+            va="center",
+            size=7,
+            color="0.25",
+        )
 
 
 class _Studio:
     """VTK's window, with the box and its obstacles in it, for pictures of any grains."""
 
-    def __init__(self, window: Window, camera: Camera, reference: Trajectory, size: tuple[int, int]) -> None:
+    def __init__(
+        self, window: Window, camera: Camera, reference: Trajectory, size: tuple[int, int], oversampling: int
+    ) -> None:
         if not _draws_without_screen():
             raise InputError(
                 "picture: VTK finds no OpenGL to draw without a screen; install one (on Debian: apt install libegl1 "
                 "libgl1-mesa-dri) or draw on another machine."
             )
         import pyvista as pv
-        from vtkmodules.vtkRenderingCore import vtkActor
-        from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLSphereMapper
 
-        self.size = size
+        self.size, self.oversampling = size, oversampling
         with pv.vtk_verbosity("off"):  # it says at length that there is no screen
-            self.plotter = pv.Plotter(off_screen=True, window_size=[OVERSAMPLING * length for length in size])
+            self.plotter = pv.Plotter(off_screen=True, window_size=[oversampling * length for length in size])
         self.plotter.set_background("white")
         corners = window.corners()
+        lines = np.array([(2, a, b) for a, b in window.edges()])
         floor = pv.PolyData(corners[[0, 4, 6, 2]], faces=[4, 0, 1, 2, 3])
         self.plotter.add_mesh(floor, color="#ececec", lighting=False)
-        for a, b in window.edges():
-            self.plotter.add_mesh(pv.Line(corners[a], corners[b]), color="#707070", line_width=2, lighting=False)
+        outline = pv.PolyData(corners, lines=lines.ravel())
+        self.plotter.add_mesh(outline, color="#707070", line_width=1.2 * oversampling, lighting=False)
         for points, triangles in obstacle_solids(reference.scene, window):
-            faces = np.insert(triangles, 0, 3, axis=1).ravel()
-            self.plotter.add_mesh(pv.PolyData(points, faces=faces), color="#c9c2b6", smooth_shading=False)
-        # one quad per grain, whose pixels find the sphere themselves: no mesh of any sphere is made
-        self.mapper = vtkOpenGLSphereMapper()
-        self.mapper.SetScalarModeToUsePointFieldData()
-        self.mapper.SelectColorArray("colour")
-        self.mapper.SetColorModeToDirectScalars()
-        self.mapper.ScalarVisibilityOn()
-        self.mapper.SetScaleArray("radius")
-        actor = vtkActor()
-        actor.SetMapper(self.mapper)
-        self.plotter.add_actor(actor, reset_camera=False)
+            solid = pv.PolyData(points, faces=np.insert(triangles, 0, 3, axis=1).ravel())
+            self.plotter.add_mesh(solid, color="#cfc8bb", ambient=0.35, diffuse=0.7)
+        self.mapper = _sphere_mapper()
+        self._add(self.mapper)
         diameter = float(np.median(grain_diameters(reference)))
         self.plotter.enable_ssao(radius=4 * diameter, bias=0.2 * diameter, kernel_size=32, blur=True)
         view = self.plotter.camera
@@ -339,6 +344,16 @@ class _Studio:
         view.focal_point = tuple(camera.eye + camera.forward * np.linalg.norm(camera.eye - corners.mean(axis=0)))
         view.up = tuple(camera.up)
         view.view_angle = camera.view_angle_deg
+
+    def _add(self, mapper: Any) -> None:
+        from vtkmodules.vtkRenderingCore import vtkActor
+
+        actor = vtkActor()
+        actor.SetMapper(mapper)
+        surface = actor.GetProperty()
+        surface.SetAmbient(0.3)  # colours in the shade can still be told apart
+        surface.SetDiffuse(0.8)
+        self.plotter.add_actor(actor, reset_camera=False)
 
     def picture(self, position: NDArray[np.float32], colours: Pixels, diameters: NDArray[np.floating]) -> Pixels:
         """Return a picture of grains [rows, columns, 3]; those that are nowhere are left out."""
@@ -351,12 +366,27 @@ class _Studio:
         self.mapper.SetInputData(grains)
         with pv.vtk_verbosity("off"):
             self.plotter.reset_camera_clipping_range()
-            self.plotter.render()
+            self.plotter.render()  # a screenshot alone is of what was drawn before
             image = self.plotter.screenshot(return_img=True)
+        if self.oversampling == 1:
+            return np.asarray(image[..., :3], dtype=np.uint8)
         columns, rows = self.size
-        fine = image[..., :3].reshape(rows, OVERSAMPLING, columns, OVERSAMPLING, 3)
+        fine = image[..., :3].reshape(rows, self.oversampling, columns, self.oversampling, 3)
         return np.asarray(fine.mean(axis=(1, 3)).round(), dtype=np.uint8)
 
     def close(self) -> None:
         """Give the window back."""
         self.plotter.close()
+
+
+def _sphere_mapper() -> Any:
+    """Return what draws a quad per grain, whose pixels find the sphere themselves: no sphere is ever meshed."""
+    from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLSphereMapper
+
+    mapper = vtkOpenGLSphereMapper()
+    mapper.SetScalarModeToUsePointFieldData()
+    mapper.SelectColorArray("colour")
+    mapper.SetColorModeToDirectScalars()
+    mapper.ScalarVisibilityOn()
+    mapper.SetScaleArray("radius")
+    return mapper

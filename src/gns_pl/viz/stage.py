@@ -26,7 +26,7 @@ COLOURINGS = {"displacement": "displacement [m]", "speed": "speed [m/s]"}
 KINEMATIC_GREY = (140, 140, 140)
 """Colour of particles that move by a script, and of particles whose value is not finite."""
 
-TOWARDS_EYE = {2: (0.0, -1.0, 0.0), 3: (0.35, -1.0, 0.42)}
+TOWARDS_EYE = {2: (0.0, -1.0, 0.0), 3: (0.28, -1.0, 0.42)}
 """Direction from the scene to the eye, by dimension: flows that run along x come nearer."""
 
 EYE_DISTANCE = 5.0
