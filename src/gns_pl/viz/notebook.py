@@ -17,6 +17,7 @@ from gns_pl.viz.stage import (
     COLOURINGS,
     KINEMATIC_GREY,
     TOWARDS_EYE,
+    Window,
     collapse_time,
     evenly,
     grain_diameters,
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 
 HEIGHT = 560
 """Of the view [pixels]."""
+
+RIM = {"width": 1, "color": "rgba(0,0,0,0.35)"}
+"""Around a grain; plotly gives points no light, so that equal colours would run into one."""
 
 BEAT = 70
 """Time that a frame stays while the view plays [ms]."""
@@ -68,7 +72,7 @@ def interactive(
         chosen = np.sort(np.random.default_rng(0).choice(chosen, max_particles, replace=False))
     kinematic = trajectory.particle_type[chosen] == ParticleType.KINEMATIC
     pixels_per_metre = 0.8 * HEIGHT / float(np.linalg.norm(window.upper - window.lower))
-    size = max(2.0, 1.5 * pixels_per_metre * float(np.median(grain_diameters(trajectory))))
+    size = max(2.0, 1.3 * pixels_per_metre * float(np.median(grain_diameters(trajectory))))
     scale = collapse_time(trajectory.scene)
 
     def grains(frame: int) -> dict[str, Any]:
@@ -83,14 +87,14 @@ def interactive(
     bar = {"title": {"text": COLOURINGS[colour], "side": "right"}, "thickness": 12, "len": 0.6}
     stops = [[float(share), _css(colour_map()(float(share)))] for share in np.linspace(0, 1, 17)]
     first = grains(0)
-    first["marker"] |= {"size": size, "colorscale": stops, "cmin": 0, "cmax": limit, "colorbar": bar}
+    first["marker"] |= {"line": RIM, "size": size, "colorscale": stops, "cmin": 0, "cmax": limit, "colorbar": bar}
     traces = [
         go.Scatter3d(**first, mode="markers", hoverinfo="skip"),
         go.Scatter3d(
             **scripted(0),
             mode="markers",
             hoverinfo="skip",
-            marker={"size": size, "color": _css(np.array(KINEMATIC_GREY) / 255)},
+            marker={"size": size, "line": RIM, "color": _css(np.array(KINEMATIC_GREY) / 255)},
         ),
         _outline(window.corners(), window.edges()),
     ]
@@ -105,7 +109,7 @@ def interactive(
     ]
     figure = go.Figure(data=traces, frames=frames)
     labels = [_moment(frame * trajectory.dt, scale) for frame in moments]
-    _lay_out(figure, trajectory.scene.dim, window.upper - window.lower)
+    _lay_out(figure, trajectory.scene.dim, window)
     _add_controls(figure, [str(frame) for frame in moments], labels)
     return figure
 
@@ -128,10 +132,12 @@ def _outline(corners: Any, edges: list[tuple[int, int]]) -> Any:
     return go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": "#707070", "width": 2}, hoverinfo="skip")
 
 
-def _lay_out(figure: Any, dim: int, lengths: Any) -> None:
-    """Set axes of true proportions, a white ground and the camera."""
+def _lay_out(figure: Any, dim: int, window: Window) -> None:
+    """Set axes as long as the window and of true proportions, a white ground and the camera."""
     plain = {"showbackground": False, "showgrid": False, "zeroline": False, "showspikes": False, "nticks": 4}
+    lengths = window.upper - window.lower
     share = lengths / np.linalg.norm(lengths) * 2.2
+    ranges = [[float(low), float(high)] for low, high in zip(window.lower, window.upper, strict=True)]
     towards = np.array(TOWARDS_EYE[dim]) / np.linalg.norm(TOWARDS_EYE[dim])
     eye = dict(zip("xyz", (float(part) for part in 1.9 * towards), strict=True))
     figure.update_layout(
@@ -140,9 +146,9 @@ def _lay_out(figure: Any, dim: int, lengths: Any) -> None:
         paper_bgcolor="white",
         showlegend=False,
         scene={
-            "xaxis": {"title": {"text": "x [m]"}, **plain},
-            "yaxis": {"title": {"text": "y [m]"}, **plain} if dim == 3 else {"visible": False},
-            "zaxis": {"title": {"text": "z [m]"}, **plain},
+            "xaxis": {"title": {"text": "x [m]"}, "range": ranges[0], **plain},
+            "yaxis": {"title": {"text": "y [m]"}, "range": ranges[1], "visible": dim == 3, **plain},
+            "zaxis": {"title": {"text": "z [m]"}, "range": ranges[2], **plain},
             "aspectmode": "manual",
             "aspectratio": dict(zip("xyz", (float(part) for part in share), strict=True)),
             "camera": {"eye": eye, "projection": {"type": "perspective"}},

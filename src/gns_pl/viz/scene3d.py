@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -94,18 +94,18 @@ def render_still(
     """
     if time is not None and frame is not None:
         raise InputError("picture: give either a time or a frame, not both.")
-    if time is None:
-        number = trajectory.num_frames - 1 if frame is None else frame
-        if not 0 <= number < trajectory.num_frames:
-            raise InputError(f"picture: frame must lie in 0 … {trajectory.num_frames - 1}, not {number}.")
-        time = number * trajectory.dt
-    elif not -0.5 <= time / trajectory.dt <= trajectory.num_frames - 0.5:
-        raise InputError(f"picture: time must lie in 0 … {trajectory.time[-1]:g} s, not {time:g}.")
+    last = trajectory.num_frames - 1
+    if time is not None and not -0.5 <= time / trajectory.dt <= last + 0.5:
+        raise InputError(f"picture: time must lie in 0 … {last * trajectory.dt:g} s, not {time:g}.")
+    if frame is not None and not 0 <= frame <= last:
+        raise InputError(f"picture: frame must lie in 0 … {last}, not {frame}.")
+    number = round(time / trajectory.dt) if time is not None else last if frame is None else frame
+    number = min(max(number, 0), last)
     with _Sheet({title: trajectory, **(side_by_side or {})}, colour, width, limit, FINE) as sheet:
         from PIL import Image
 
         with atomic_path(path) as temporary:
-            Image.fromarray(sheet.draw(time)).save(temporary, format="PNG", dpi=(width / INCHES,) * 2)
+            Image.fromarray(sheet.draw(number * trajectory.dt)).save(temporary, format="PNG", dpi=(width / INCHES,) * 2)
     return Path(path)
 
 
@@ -145,27 +145,44 @@ def render_film(
     with _Sheet(trajectories, colour, width, limit, QUICK) as sheet, atomic_path(path) as temporary:
         reference = list(trajectories.values())[-1]
         moments = [frame * reference.dt for frame in evenly(reference.num_frames, num_frames)]
-        with _open_film(temporary, path.suffix, len(moments) / PLAY_SECONDS) as film:
-            for moment in moments:
-                film.append_data(sheet.draw(moment))
+        pictures = (sheet.draw(moment) for moment in moments)
+        beat = PLAY_SECONDS / len(moments)
+        if path.suffix == ".gif":
+            _write_gif(temporary, pictures, beat)
+        else:
+            _write_mp4(temporary, pictures, beat, sheet.shape)
     return path
 
 
-def _open_film(temporary: Path, suffix: str, frames_per_second: float) -> Any:
-    """Return imageio's writer of a file whose name does not say its format."""
+def _write_gif(path: Path, pictures: Iterator[Pixels], beat: float) -> None:
+    """Write pictures that stay for `beat` [s] each, over and over again."""
     import imageio.v2 as imageio
 
-    if suffix == ".gif":
-        return imageio.get_writer(temporary, format="GIF", duration=1000 / frames_per_second, loop=0)
-    return imageio.get_writer(
-        temporary,
-        format="FFMPEG",
-        fps=frames_per_second,
+    with imageio.get_writer(path, format="GIF", duration=1000 * beat, loop=0) as film:
+        for picture in pictures:
+            film.append_data(picture)
+
+
+def _write_mp4(path: Path, pictures: Iterator[Pixels], beat: float, shape: tuple[int, int]) -> None:
+    """Write pictures of a shape that stay for `beat` [s] each; imageio itself goes by a file's ending."""
+    from imageio_ffmpeg import write_frames
+
+    film = write_frames(
+        str(path),
+        shape[::-1],
+        fps=1 / beat,
         codec="libx264",
+        quality=None,
         macro_block_size=2,
         ffmpeg_log_level="error",
         output_params=["-crf", "18", "-f", "mp4", "-movflags", "+faststart"],
     )
+    film.send(None)
+    try:
+        for picture in pictures:
+            film.send(np.ascontiguousarray(picture))
+    finally:
+        film.close()
 
 
 def _require(*modules: str) -> None:
@@ -336,7 +353,7 @@ class _Studio:
             solid = pv.PolyData(points, faces=np.insert(triangles, 0, 3, axis=1).ravel())
             self.plotter.add_mesh(solid, color="#cfc8bb", ambient=0.35, diffuse=0.7)
         self.mapper = _sphere_mapper()
-        self._add(self.mapper)
+        self.grains = self._add(self.mapper)
         diameter = float(np.median(grain_diameters(reference)))
         self.plotter.enable_ssao(radius=4 * diameter, bias=0.2 * diameter, kernel_size=32, blur=True)
         view = self.plotter.camera
@@ -345,7 +362,7 @@ class _Studio:
         view.up = tuple(camera.up)
         view.view_angle = camera.view_angle_deg
 
-    def _add(self, mapper: Any) -> None:
+    def _add(self, mapper: Any) -> Any:
         from vtkmodules.vtkRenderingCore import vtkActor
 
         actor = vtkActor()
@@ -354,16 +371,19 @@ class _Studio:
         surface.SetAmbient(0.3)  # colours in the shade can still be told apart
         surface.SetDiffuse(0.8)
         self.plotter.add_actor(actor, reset_camera=False)
+        return actor
 
     def picture(self, position: NDArray[np.float32], colours: Pixels, diameters: NDArray[np.floating]) -> Pixels:
         """Return a picture of grains [rows, columns, 3]; those that are nowhere are left out."""
         import pyvista as pv
 
         somewhere = np.isfinite(position).all(axis=1)
-        grains = pv.PolyData(position[somewhere])
-        grains["colour"] = colours[somewhere]
-        grains["radius"] = (0.5 * diameters[somewhere]).astype(np.float32)
-        self.mapper.SetInputData(grains)
+        self.grains.SetVisibility(bool(somewhere.any()))
+        if somewhere.any():
+            grains = pv.PolyData(position[somewhere])
+            grains["colour"] = colours[somewhere]
+            grains["radius"] = (0.5 * diameters[somewhere]).astype(np.float32)
+            self.mapper.SetInputData(grains)
         with pv.vtk_verbosity("off"):
             self.plotter.reset_camera_clipping_range()
             self.plotter.render()  # a screenshot alone is of what was drawn before
