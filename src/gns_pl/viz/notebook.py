@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 HEIGHT = 560
 """Of the view [pixels]."""
 
-RIM = {"width": 1, "color": "rgba(0,0,0,0.35)"}
+RIM = {"width": 1, "color": "rgba(0,0,0,0.12)"}
 """Around a grain; plotly gives points no light, so that equal colours would run into one."""
 
 BEAT = 70

@@ -152,7 +152,7 @@ def window_of(trajectories: Sequence[Trajectory]) -> Window:
 
 
 def camera_of(window: Window, dim: int, margin: float = 0.03) -> Camera:
-    """Return the camera that looks at a window of a scene of `dim` dimensions, with a margin around it."""
+    """Return the camera that looks at a window of a scene of `dim` dimensions, with a margin around it, in half sizes."""
     towards = np.array(TOWARDS_EYE[dim]) / np.linalg.norm(TOWARDS_EYE[dim])
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
@@ -165,7 +165,8 @@ def camera_of(window: Window, dim: int, margin: float = 0.03) -> Camera:
         seen = 2 * camera.project(corners) - 1
         middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
         camera = Camera(camera.eye + distance * (middle[0] * right + middle[1] * up), right, up, 1.0, 1.0)
-    half = (1 + margin) * np.abs(2 * camera.project(corners) - 1).max(axis=0)
+    half = np.abs(2 * camera.project(corners) - 1).max(axis=0)
+    half += margin * half.max()
     return Camera(camera.eye, right, up, float(half[0]), float(half[1]))
 
 
