@@ -1,6 +1,7 @@
 """Figures and animations of trajectories, of their curves, of trainings and of sweeps. Nothing is measured here.
 
-matplotlib and pillow (extra `viz`) are imported inside the functions that draw.
+matplotlib and pillow (extra `viz`), PyVista, plotly and imageio (extra `viz3d`) are imported inside the functions that
+draw. ParaView series need none of them.
 """
 
 from importlib.util import find_spec
@@ -8,18 +9,25 @@ from importlib.util import find_spec
 from gns_pl.viz.animation import write_animation
 from gns_pl.viz.laws import plot_laws
 from gns_pl.viz.learning_curve import plot_learning_curve
+from gns_pl.viz.notebook import interactive
+from gns_pl.viz.paraview import write_paraview
 from gns_pl.viz.plots import plot_curves, plot_evolution
+from gns_pl.viz.scene3d import render_film, render_still
 from gns_pl.viz.sweep import SweepPoint, plot_sweep
 
 __all__ = [
     "SweepPoint",
+    "interactive",
     "missing_packages",
     "plot_curves",
     "plot_evolution",
     "plot_laws",
     "plot_learning_curve",
     "plot_sweep",
+    "render_film",
+    "render_still",
     "write_animation",
+    "write_paraview",
 ]
 
 

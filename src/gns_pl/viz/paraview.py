@@ -1,0 +1,146 @@
+"""Trajectories as ParaView series: one VTK file per frame, and a list of them with their times.
+
+Points in VTK's XML format are a short header and the bytes of the arrays, put together here: nothing needs to be
+installed to write them. Two-dimensional trajectories lie in the plane y = 0.
+"""
+
+from __future__ import annotations
+
+import glob
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gns_pl.errors import InputError
+from gns_pl.io.atomic import remove_temporary_files, write_atomically
+from gns_pl.trajectory import Trajectory
+from gns_pl.viz.stage import in_space
+
+Array = NDArray[np.float32] | NDArray[np.int32]
+
+
+def write_paraview(
+    folder: str | Path, trajectory: Trajectory, *, name: str, reference: Trajectory | None = None, every: int = 1
+) -> Path:
+    """Write `name`.pvd and its frames `name`_00000.vtp, `name`_00001.vtp, … into `folder`.
+
+    Every frame holds the points [m] with `velocity` [m/s] (backward differences), `displacement` from frame 0 [m],
+    `speed` [m/s], `mass` [kg], `particle_type`, each material feature and, with a reference, `error` = x − x_ref [m].
+    The list is removed first and written last: a run that is killed leaves whole frames, and no list of them.
+
+    Args:
+        folder: made if it is not there; an earlier series of this name in it is replaced.
+        trajectory: what to write.
+        name: of the series, a word that can stand in a file name.
+        reference: the same particles in the same frames; it may go on for longer.
+        every: stride of the frames that are written, the first among them. A file's number is that of its frame.
+
+    Returns:
+        Path of the list, which is what ParaView opens.
+
+    Raises:
+        InputError: a reference of other particles or frames, a stride below one, a name that no file can have.
+        StorageError: the disk refused.
+    """
+    _check(trajectory, name, reference, every)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    index = folder / f"{name}.pvd"
+    index.unlink(missing_ok=True)
+    remove_temporary_files(folder, f"{glob.escape(name)}_*.vtp")
+    files = {frame: f"{name}_{frame:05d}.vtp" for frame in range(0, trajectory.num_frames, every)}
+    earlier = re.compile(re.escape(name) + r"_\d{5,}\.vtp")
+    for path in list(folder.iterdir()):
+        if earlier.fullmatch(path.name) and path.name not in files.values():
+            path.unlink()
+    for frame, file in files.items():
+        arrays = _arrays(trajectory, frame, reference)
+        write_atomically(folder / file, _poly_data(in_space(trajectory.position[frame]), arrays))
+    entries = "".join(
+        f'    <DataSet timestep="{frame * trajectory.dt:.10g}" part="0" file={quoteattr(file)}/>\n'
+        for frame, file in files.items()
+    )
+    text = f'<VTKFile type="Collection" version="0.1">\n  <Collection>\n{entries}  </Collection>\n</VTKFile>\n'
+    write_atomically(index, f'<?xml version="1.0"?>\n{text}'.encode())
+    return index
+
+
+def _check(trajectory: Trajectory, name: str, reference: Trajectory | None, every: int) -> None:
+    if every < 1:
+        raise InputError(f"ParaView series {name!r}: every must be at least 1, not {every}.")
+    if not name or {"/", "\\", "\0"} & set(name):
+        raise InputError(f"ParaView series: name must be a word that can stand in a file name, not {name!r}.")
+    if reference is None:
+        return
+    if reference.position.shape[1:] != trajectory.position.shape[1:]:
+        raise InputError(
+            f"ParaView series {name!r}: the reference has {reference.num_particles} particles in {reference.scene.dim} "
+            f"dimensions and the trajectory {trajectory.num_particles} in {trajectory.scene.dim}; give the same ones."
+        )
+    same_step = math.isclose(reference.dt, trajectory.dt, rel_tol=1e-6)
+    if not same_step or reference.num_frames < trajectory.num_frames:
+        raise InputError(
+            f"ParaView series {name!r}: the reference has {reference.num_frames} frames of {reference.dt:g} s and the "
+            f"trajectory {trajectory.num_frames} of {trajectory.dt:g} s; give one with the same frames (`resampled`)."
+        )
+
+
+def _arrays(trajectory: Trajectory, frame: int, reference: Trajectory | None) -> dict[str, Array]:
+    """Return what the points of a frame carry, by name."""
+    position = trajectory.position[frame].astype(np.float64)
+    around = replace(trajectory, position=trajectory.position[max(frame - 1, 0) : frame + 1])
+    velocity = around.velocity()[-1]  # of two frames: those of all would take three times the trajectory's memory
+    arrays: dict[str, Array] = {
+        "velocity": in_space(velocity),
+        "displacement": in_space(position - trajectory.position[0]),
+        "speed": np.linalg.norm(velocity, axis=1).astype(np.float32),
+        "mass": trajectory.mass.astype(np.float32),
+        "particle_type": trajectory.particle_type.astype(np.int32),
+    }
+    for feature, values in zip(trajectory.material_features, trajectory.material.T, strict=True):
+        arrays[feature] = values.astype(np.float32)
+    if reference is not None:
+        arrays["error"] = in_space(position - reference.position[frame])
+    return arrays
+
+
+def _poly_data(points: NDArray[np.float32], arrays: Mapping[str, Array]) -> bytes:
+    """Return the content of a .vtp file: points [N, 3], a vertex each, and what they carry."""
+    number = len(points)
+    blocks: list[bytes] = []
+    offset = 0
+
+    def declare(array: Array, name: str) -> str:
+        """Put an array behind those before it, after its length in bytes, and return the tag that refers to it."""
+        nonlocal offset
+        content = array.astype(array.dtype.newbyteorder("<")).tobytes()
+        blocks.append(len(content).to_bytes(8, "little") + content)
+        kind = "Float32" if array.dtype.kind == "f" else "Int32"
+        components = array.shape[1] if array.ndim == 2 else 1
+        tag = (
+            f'<DataArray type="{kind}" Name={quoteattr(name)} NumberOfComponents="{components}" '
+            f'format="appended" offset="{offset}"/>\n'
+        )
+        offset += len(blocks[-1])
+        return tag
+
+    of_points = "".join(declare(array, name) for name, array in arrays.items())
+    places = declare(points, "Points")
+    count = np.arange(number + 1, dtype=np.int32)
+    vertices = declare(count[:-1], "connectivity") + declare(count[1:], "offsets")
+    header = (
+        '<?xml version="1.0"?>\n'
+        '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
+        f'<PolyData>\n<Piece NumberOfPoints="{number}" NumberOfVerts="{number}" NumberOfLines="0" '
+        'NumberOfStrips="0" NumberOfPolys="0">\n'
+        f'<PointData Vectors="velocity" Scalars="speed">\n{of_points}</PointData>\n'
+        f"<Points>\n{places}</Points>\n<Verts>\n{vertices}</Verts>\n"
+        '</Piece>\n</PolyData>\n<AppendedData encoding="raw">\n_'
+    )
+    return header.encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n"
