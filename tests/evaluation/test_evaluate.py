@@ -35,6 +35,8 @@ SETTINGS = {
     "figures": False,
     "snapshots": [0, 1],
     "animation": {"num_frames": 6, "width": 400},
+    "film": None,
+    "paraview": False,
     "save_trajectories": False,
     "logger": None,
 }
@@ -107,6 +109,24 @@ def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
     assert len(table) == 2 * len(CURVES) - 2
     assert table["reference.runout_99"][-1] == pytest.approx(scene["reference"]["runout_99"])
     assert table["learned.mean_height"][-1] == pytest.approx(scene["learned"]["mean_height"])
+
+
+def test_films_and_series_in_three_dimensions(checkpoint, tmp_path) -> None:
+    import imageio.v3 as imageio
+    import pyvista
+
+    out = tmp_path / "out"
+    run(checkpoint, tmp_path, only="short", film="gif", paraview=True, animation={"num_frames": 4, "width": 401})
+    assert len(imageio.imread(out / "film_short.gif")) == 4
+    assert imageio.imread(out / "still_short.png").std() > 10
+    reader = pyvista.get_reader(out / "paraview" / "learned_short.pvd")
+    reader.set_active_time_value(reader.time_values[-1])
+    arrays = reader.read()[0].point_data
+    assert {"velocity", "displacement", "error"} <= set(arrays.keys())
+    assert np.abs(arrays["error"]).max() > 0
+    assert "error" not in pyvista.get_reader(out / "paraview" / "reference_short.pvd").read()[0].point_data
+    with pytest.raises(InputError, match="must be mp4, gif or null"):
+        run(checkpoint, tmp_path, film="avi")
 
 
 def test_a_copy_elsewhere_gives_the_same_numbers(checkpoint, tmp_path, monkeypatch) -> None:

@@ -57,6 +57,8 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
     checkpoints = named_checkpoints(wanted if isinstance(wanted, list) else [wanted])
     if evaluation["figures"]:
         check_figures()
+    if evaluation["film"] or evaluation["paraview"]:
+        check_space(film=bool(evaluation["film"]))
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
     out = Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)
@@ -141,6 +143,15 @@ def check_figures() -> None:
         )
 
 
+def check_space(*, film: bool) -> None:
+    """Raise an `InputError` if the packages that draw in three dimensions are missing."""
+    from importlib.util import find_spec
+
+    missing = [name for name in ("pyvista", *(("imageio",) if film else ())) if find_spec(name) is None]
+    if missing:
+        raise InputError(f"evaluation.film and paraview need {' and '.join(missing)}: pip install 'gns_pl[viz3d]'")
+
+
 def evaluate(
     checkpoint_path: Path,
     *,
@@ -158,6 +169,8 @@ def evaluate(
     figures: bool,
     snapshots: Sequence[float],
     animation: Mapping[str, int],
+    film: str | None,
+    paraview: bool,
     save_trajectories: bool,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Judge a checkpoint on scenes and write everything into one folder.
@@ -178,6 +191,8 @@ def evaluate(
         figures: draw, or leave out figures and animations.
         snapshots: times of the evolution figure [τc]; the last frame comes besides.
         animation: `num_frames` and `width` [pixels].
+        film: "mp4" or "gif" for a film and a still of every scene in three dimensions; None for neither.
+        paraview: write a series for ParaView of rollouts and references.
         save_trajectories: write rollouts and references as HDF5.
 
     Returns:
@@ -190,6 +205,8 @@ def evaluate(
     from gns_pl.evaluation import report
     from gns_pl.evaluation.references import reference_of, stored_references
 
+    if film not in (None, "mp4", "gif"):
+        raise InputError(f"evaluation.film must be mp4, gif or null, not {film!r}.")
     checkpoint = load_checkpoint(checkpoint_path)
     config = checkpoint.simulator.config
     if split is None and "mpm" not in checkpoint.data:
@@ -219,12 +236,18 @@ def evaluate(
         write_curves(files[-1], result.curves)
         if save_trajectories:
             files += _write_trajectories(name, result, out)
+        if paraview:
+            files += _write_paraview(name, result, out)
     document = report.document(checkpoint, {name: result.report for name, result in results.items()})
     files = [*report.write(document, out), *files]
     if figures:
         from gns_pl.evaluation.figures import draw
 
         files += draw(results, out, snapshots=snapshots, **animation)
+    if film is not None:
+        from gns_pl.evaluation.figures import draw_in_space
+
+        files += draw_in_space(results, out, film=film, **animation)
     report.show(document)
     return document, files
 
@@ -305,4 +328,17 @@ def _write_trajectories(name: str, result: SceneResult, out: Path) -> list[Path]
     for key, trajectory in result.trajectories.items():
         paths.append(out / f"{key}_{name}.h5")
         write_trajectory(paths[-1], trajectory)
+    return paths
+
+
+def _write_paraview(name: str, result: SceneResult, out: Path) -> list[Path]:
+    from gns_pl.viz import write_paraview
+
+    truth = result.trajectories["reference"]
+    paths = []
+    for key, trajectory in result.trajectories.items():
+        reference = cut(truth, trajectory.num_frames) if key != "reference" else None
+        folder = out / "paraview"
+        folder.mkdir(exist_ok=True)
+        paths.append(write_paraview(folder, trajectory, name=f"{key}_{name}", reference=reference))
     return paths

@@ -54,6 +54,33 @@ def draw(
     return files
 
 
+def draw_in_space(
+    results: Mapping[str, SceneResult], out: Path, *, film: str, num_frames: int, width: int
+) -> list[Path]:
+    """Write a film and a still of the last frame of every scene in three dimensions, learned beside MPM.
+
+    Args:
+        results: scene → its result.
+        out: folder.
+        film: ending of the films, "mp4" or "gif".
+        num_frames: of a film.
+        width: of a film [pixels]; made even.
+
+    Returns:
+        Paths of the files.
+    """
+    from gns_pl.viz import render_film, render_still
+
+    files = []
+    for name, result in results.items():
+        learned, reference = (result.trajectories[key] for key in ("learned", "reference"))
+        shown = {TITLES["learned"]: learned, TITLES["reference"]: reference}
+        files.append(render_film(out / f"film_{name}.{film}", shown, num_frames=num_frames, width=width - width % 2))
+        still, beside = out / f"still_{name}.png", {TITLES["reference"]: reference}
+        files.append(render_still(still, learned, title=TITLES["learned"], side_by_side=beside))
+    return files
+
+
 def is_column(scene: Scene) -> bool:
     """Return whether a scene is one column at rest against the x- wall, on the floor, as the laws are about."""
     [body, *others] = scene.bodies

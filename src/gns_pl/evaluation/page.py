@@ -19,7 +19,11 @@ SHARED = (
 )
 """Figures of all scenes together: name of the file, caption."""
 
-OF_SCENE = (("evolution_{}.png", "Snapshots; the line is the failure surface"), ("{}.gif", "The whole run"))
+OF_SCENE = (
+    ("evolution_{}.png", "Snapshots; the line is the failure surface"),
+    ("still_{}.png", "The end in three dimensions"),
+    ("{}.gif", "The whole run"),
+)
 """Figures of one scene: name of the file, caption."""
 
 COMPARED = (

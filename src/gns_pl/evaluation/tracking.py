@@ -45,7 +45,7 @@ def log_evaluation(
     try:
         folder = Path(run.dir).parent
         media: dict[str, Any] = {file.stem: wandb.Image(str(file)) for file in files if file.suffix == ".png"}
-        media |= {f"animation_{file.stem}": wandb.Video(str(file)) for file in files if file.suffix == ".gif"}
+        media |= {f"animation_{file.stem}": wandb.Video(str(file)) for file in files if file.suffix in (".gif", ".mp4")}
         run.log(media | {"metrics": _table(wandb, document)})
         for name, scene in document["scenes"].items():
             for group in ("learned", "reference", "wall_seconds"):
