@@ -152,7 +152,7 @@ def window_of(trajectories: Sequence[Trajectory]) -> Window:
 
 
 def camera_of(window: Window, dim: int, margin: float = 0.03) -> Camera:
-    """Return the camera that looks at a window of a scene of `dim` dimensions, with a margin in half sizes."""
+    """Return the camera that looks at a window of a scene of `dim` dimensions, with a margin around it [half sizes]."""
     towards = np.array(TOWARDS_EYE[dim]) / np.linalg.norm(TOWARDS_EYE[dim])
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
