@@ -2,14 +2,16 @@
 
     python benchmarks/reductions.py                  # as in docs/reductions.md; the fine runs take minutes and are kept
     python benchmarks/reductions.py --threads 1 --kinds plane --columns 0.8 2.0
+    python benchmarks/reductions.py --learned a.ckpt b.ckpt --corrected c.corrector --out mine.csv   # one's own
     python benchmarks/reductions.py --records src/gns_pl/rollout/records.csv   # what simulate.py tolerance=… knows
 
 Columns of a = 0.8, 1.2, 2.0 and 3.0 stand between smooth side walls ("plane", plane strain) and between the paper's
 rough ones ("space"). The reference is MPM on cells of 1/48 m: in three dimensions for a = 0.8 and 2.0, else on the
 slice or half that gives the same. Times are medians of warm runs: neighbours, network, integration and copies are in
-them, compilation and files are not. Errors are relative, the largest of the placements; "curve" is the mean absolute
+them, compilation and files are not. Errors are relative, the largest of the placements beside mean and standard
+deviation of the runout's; "curve" is the mean absolute
 difference of the 99 % runout over time, over its final value. "extrapolated" takes the runout, and nothing else,
-linearly in the cell from two MPM runs.
+linearly in the cell from two MPM runs. Rows that a table has of other kinds, columns and threads stay in it.
 """
 
 from __future__ import annotations
@@ -49,9 +51,7 @@ COLUMNS = {  # a: L0, H0, box [m]
     "3.0": (0.25, 0.75, (2.5, 0.5, 1.1)),
 }
 INTERVAL, DURATION = 0.02, 6.0  # s between frames compared; τc
-HEAD = (
-    f"{'way':24} {'N':>7} {'runout':>7} {'error':>8} {'curve':>7} {'height':>8} {'profile':>8} {'s':>8} {'faster':>7}"
-)
+HEAD = f"{'way':24} {'N':>7} {'runout':>7} {'error':>8} {'mean':>8} {'std':>6} {'curve':>7} {'height':>8} {'profile':>8} {'s':>8} {'faster':>7}"
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,14 @@ class Row(Record):
     Attributes:
         runout: final, 99 % [L0].
         times_faster: than the reference on as many threads.
+        mean_error: of the runout, over the placements.
+        scatter: standard deviation of the same.
     """
 
     runout: float
     times_faster: float
+    mean_error: float = float("nan")
+    scatter: float = float("nan")
 
 
 def column(name: str, kind: str, paper: dict[str, object]) -> Scene:
@@ -117,7 +121,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[2])
     parser.add_argument("--core", type=int, default=0, help="the first of those it is bound to")
     parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--seeds", type=int, default=3, help="placements; errors are of each, the first one's is timed")
+    parser.add_argument("--seeds", type=int, default=6, help="placements; errors are of each, the first one's is timed")
     parser.add_argument("--learned", nargs="*", help="checkpoints; those of conf/simulate.yaml if left out")
     parser.add_argument("--corrected", nargs="*", help="correctors, likewise")
     parser.add_argument(
@@ -143,7 +147,8 @@ def main() -> None:
     extra += [replace(way, name=f"{way.name} whole", reduces=False) for way in solvers[:3]]
     device = f"{platform.machine()} CPU"
     print(f"{device}, torch {torch.__version__}, turns {args.turns}, {args.seeds} placements")
-    rows: list[Row] = []
+    again = {(kind, f"column_{name}", n) for kind in args.kinds for name in args.columns for n in args.threads}
+    rows = [row for row in read(args.out) if (row.kind, row.scene, row.threads) not in again]
     for threads in args.threads:
         os.sched_setaffinity(0, range(args.core, args.core + threads))
         torch.set_num_threads(threads)
@@ -175,14 +180,17 @@ def main() -> None:
 
                     made, seconds = timed(lambda run=run: run(0), args.turns)
                     particles = way.size(scene)[0]
-                    others = [run(seed) for seed in range(1, args.seeds)] if seconds < 20 else []
+                    seeds = args.seeds if seconds < 2 else min(args.seeds, 3)
+                    others = [run(seed) for seed in range(1, seeds)] if seconds < 20 else []
                     found = [errors(each, fine) for each in (made, *others)]
                     worst = {key: max((each[key] for each in found), key=abs) for key in found[0]}
                     mean = {key: statistics.mean(each[key] for each in found) for key in found[0]}
                     row = Row(
                         way=way.name, kind=kind, scene=scene.name, seconds=seconds, work=way.work(scene),
                         particles=particles, threads=threads, device=device,
-                        times_faster=reference_seconds / seconds, **(worst | {"runout": mean["runout"]}),
+                        times_faster=reference_seconds / seconds, mean_error=mean["runout_error"],
+                        scatter=statistics.pstdev(each["runout_error"] for each in found),
+                        **(worst | {"runout": mean["runout"]}),
                     )  # fmt: skip
                     rows.append(row)
                     if isinstance(way, MPMWay) and "whole" not in way.name:
@@ -197,7 +205,7 @@ def main() -> None:
                     row = replace(
                         b, way=f"extrapolated {cells[coarse]:g} {cells[finer]:g}", runout=runout,
                         runout_error=runout / wanted - 1, curve_error=nothing, height_error=nothing,
-                        profile_error=nothing, seconds=a.seconds + b.seconds,
+                        profile_error=nothing, mean_error=runout / wanted - 1, scatter=nothing, seconds=a.seconds + b.seconds,
                         times_faster=reference_seconds / (a.seconds + b.seconds),
                     )  # fmt: skip
                     rows.append(row)
@@ -245,12 +253,25 @@ def draw(rows: list[Row], path: Path) -> None:
 
 def show(row: Row) -> None:
     """Print a row."""
-    percent = f"{100 * row.runout_error:+7.1f}% {100 * row.curve_error:6.1f}% {100 * row.height_error:+7.1f}%"
+    percent = f"{100 * row.runout_error:+7.1f}% {100 * row.mean_error:+7.1f}% {100 * row.scatter:5.1f}% "
+    percent += f"{100 * row.curve_error:6.1f}% {100 * row.height_error:+7.1f}%"
     print(
         f"{row.way:24} {row.particles:7} {row.runout:7.3f} {percent} {row.profile_error:8.3f} {row.seconds:8.3f} "
         f"{row.times_faster:7.1f}",
         flush=True,
     )
+
+
+def read(path: Path | None) -> list[Row]:
+    """Return the rows of a table that is there; what older ones lack is NaN."""
+    if path is None or not path.exists():
+        return []
+    types = {"int": int, "float": float, "str": str}
+    with path.open(newline="") as file:
+        return [
+            Row(**{each.name: types[str(each.type)](row[each.name]) for each in fields(Row) if each.name in row})
+            for row in csv.DictReader(file)
+        ]
 
 
 def write(path: Path, rows: list[Row], kind: type) -> None:

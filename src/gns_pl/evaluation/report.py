@@ -32,7 +32,7 @@ ROWS: tuple[tuple[str, str, str], ...] = (
     ("peak kinetic energy [J]", "kinetic_energy_peak", ""),
     ("final mean speed [m/s]", "speed_mean", ""),
     ("deepest penetration [spacing]", "penetration_max", ""),
-    ("nearest neighbour 1 % [spacing]", "spacing_1", ""),
+    ("nearest other, 1 % [spacing]", "spacing_1", ""),
     ("solid fraction inside", "density", ""),
 )
 """Rows of a table: label, key of the summary, key of its relative error if it has one."""
@@ -43,11 +43,11 @@ ERROR_ROWS: tuple[tuple[str, str], ...] = (
     ("MSE of 20 steps [m²]", "mse_20"),
     ("MSE of all steps [m²]", "mse_end"),
     ("position error [spacing]", "position_error"),
-    ("transport of the deposit [spacing]", "sinkhorn"),
+    ("transport of deposit [spacing]", "sinkhorn"),
 )
 """Rows that only a comparison has: label, key of the errors."""
 
-HEADER = ("", "MPM", "±", "learned", "error", "no motion")
+HEADER = ("", "MPM", "±", "learned", "error", "still")
 
 NOTE = """\
 Everything is measured at the last frame unless the row says otherwise. Errors are relative to the MPM that taught the \
@@ -55,7 +55,7 @@ model, not to a converged one; "±" is by how much MPM itself changes on other c
 says which), so that a smaller error means nothing. Judge by the 99 % fronts: the maximum is a few stragglers. Wall \
 times are those of the loops alone: MPM's as measured when the reference was computed (it is cached); the learned \
 simulator's with neighbour search and copies to and from its device. Loading, compilation and files are left out of \
-both. docs/evaluation.md defines every number."""
+both. In "still" nothing moves. docs/evaluation.md defines every number."""
 
 
 def document(checkpoint: Checkpoint, scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -206,7 +206,7 @@ def show(content: Mapping[str, Any]) -> None:
     console = Console(markup=False, highlight=False)
     for name, scene in content["scenes"].items():
         console.print(f"\n{name}: {describe(scene).replace('**', '')}", soft_wrap=True)
-        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
         for column, head in enumerate(HEADER):
             table.add_column(head, justify="right" if column else "left", no_wrap=True)
         for row in scene_rows(scene):

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from gns_pl.errors import InputError
+from gns_pl.generation.pool import available_cores
 from gns_pl.rollout.fitted import FittedWay
 from gns_pl.rollout.reduction import why_not_plane
 from gns_pl.rollout.ways import Way
@@ -105,9 +106,14 @@ def weigh(scene: Scene, ways: Sequence[Way], records: Sequence[Record]) -> list[
         records: what was measured.
     """
     kind, options = kind_of(scene), []
+    # As measured on as many cores as there are, or the next fewer.
+    records = [each for each in records if each.kind == kind]
+    numbers = {each.threads for each in records}
+    threads = max((each for each in numbers if each <= available_cores()), default=min(numbers, default=1))
+    records = [each for each in records if each.threads == threads]
     for way in ways:
         reason = way.why_not(scene)
-        measured = [each for each in records if each.way == way.name and each.kind == kind]
+        measured = [each for each in records if each.way == way.name]
         error = seconds = None
         if measured and reason is None:
             error = max(FINE_ERROR, *(abs(each.runout_error) for each in measured))
