@@ -174,11 +174,8 @@ class Simulator(nn.Module):
         self.acceleration_scale.fill_(acceleration)
         self.material_scale.copy_(material)
 
-    def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
-        """Return the network's (a − g) / `acceleration_scale` [N, D].
-
-        It is a contact force over a mass, so it is exactly zero for a particle that has neither a neighbour nor a wall
-        within the connectivity radius: such a particle falls freely, whatever the weights are.
+    def features(self, history: Tensor, static: Static) -> tuple[Tensor, Tensor]:
+        """Return what every particle knows of itself [N, F], and the edges [2, E].
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
@@ -205,6 +202,21 @@ class Simulator(nn.Module):
             material_scale=self.material_scale,
             context=config.context,
         )
+        return node, edge_index
+
+    def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
+        """Return the network's (a − g) / `acceleration_scale` [N, D].
+
+        It is a contact force over a mass, so it is exactly zero for a particle that has neither a neighbour nor a wall
+        within the connectivity radius: such a particle falls freely, whatever the weights are.
+
+        Args:
+            history: positions of the last H frames, the latest last [N, H, D] [m].
+            static: the scenes.
+        """
+        config = self.config
+        position, velocity = history[:, -1], history.diff(dim=1) / config.dt
+        node, edge_index = self.features(history, static)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = self.network(node, edge, edge_index)
         if config.output == "pairs":
