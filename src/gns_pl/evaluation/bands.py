@@ -81,4 +81,4 @@ def ensemble_bands(
             made = made if dt == interval else made.resampled(interval, None if failed else duration)
             values = compute_curves(made)[name][:number]
             members.append(np.pad(values, (0, number - len(values)), constant_values=np.nan))
-    return Bands(np.arange(number) * interval, np.stack(members))
+    return Bands(np.arange(number, dtype=np.float64) * interval, np.stack(members))

@@ -85,8 +85,8 @@ class Seen:
         covariance = scaled.T @ scaled / len(scaled) + RIDGE * torch.eye(len(mean), dtype=scaled.dtype)
         inverse = torch.linalg.inv(torch.linalg.cholesky(covariance))
         usual = torch.quantile((scaled @ inverse.T).square().mean(dim=1).sqrt(), USUAL)
-        parts = (each.float() for each in (low, high, mean, spread, inverse))
-        return cls(tuple(names), *parts, float(usual), source)
+        low, high, mean, spread, inverse = (each.float() for each in (low, high, mean, spread, inverse))
+        return cls(tuple(names), low, high, mean, spread, inverse, float(usual), source)
 
     def distance(self, features: Tensor) -> Tensor:
         """Return how far off each input is, 1 where one in a hundred of training is farther (Mahalanobis) [N].

@@ -7,19 +7,21 @@ state shows the floor's friction, and no scene that a heap falls apart.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from gns_pl.checkpoint import Checkpoint
+from gns_pl.io import read_header, read_trajectory
 from gns_pl.rollout.engine import static_of
 from gns_pl.rollout.training_range import beyond
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 LIMIT = 0.1
 """A frame is out of the training range when a larger share of its particles is farther off than 99 % of those in
-training were. In training it is one in a hundred in the mean, and more while a scene sets out or strikes (docs/trust.md)."""
+training were. That share is one in a hundred in the mean of training, up to a tenth while a scene strikes."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,19 @@ class Familiarity:
         if self.reasons:
             parts.append(f"the data knew no such scene ({self.reasons[0]})")
         return "; ".join(parts) or None
+
+
+FRAMES, NUMBERS = 40, 100_000_000
+"""Of a run in a file so many frames are looked at, and at none if it holds more coordinates than so many."""
+
+
+def told(checkpoint: Checkpoint, path: Path) -> str | None:
+    """Return the sentence of a run in a file; None if there is nothing to tell, or nothing by which to tell."""
+    header = read_header(path)
+    if checkpoint.seen is None or header.num_frames * header.num_particles * header.dim > NUMBERS:
+        return None
+    found = familiarity(checkpoint, read_trajectory(path), every=max(1, header.num_frames // FRAMES))
+    return None if found is None else found.sentence()
 
 
 def familiarity(checkpoint: Checkpoint, run: Trajectory, *, every: int = 1) -> Familiarity | None:
