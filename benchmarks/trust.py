@@ -288,6 +288,7 @@ def report(rows: list[Row]) -> None:
 def draw(rows: list[Row], path: Path) -> None:
     """Draw errors against the early distance and the bands' width."""
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
 
     figure, axes = plt.subplots(1, 3, figsize=(14, 4.4), layout="constrained")
     panels = (("early", "position_error"), ("early", "runout_error"), ("members", "runout_error"))
@@ -309,6 +310,7 @@ def draw(rows: list[Row], path: Path) -> None:
         axis.set(
             xscale="log", yscale="log", xlabel=words[across], ylabel=words[up], title=f"odd numbers: ρ = {rho:.2f}"
         )
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(alpha=0.3)
     axes[0].legend(fontsize=7)
     figure.savefig(path, dpi=120)
