@@ -51,7 +51,10 @@ COLUMNS = {  # a: L0, H0, box [m]
     "3.0": (0.25, 0.75, (2.5, 0.5, 1.1)),
 }
 INTERVAL, DURATION = 0.02, 6.0  # s between frames compared; τc
-HEAD = f"{'way':24} {'N':>7} {'runout':>7} {'error':>8} {'mean':>8} {'std':>6} {'curve':>7} {'height':>8} {'profile':>8} {'s':>8} {'faster':>7}"
+HEAD = (
+    f"{'way':24} {'N':>7} {'runout':>7} {'error':>8} {'mean':>8} {'std':>6} {'curve':>7} {'height':>8} {'profile':>8} "
+    f"{'s':>8} {'faster':>7}"
+)
 
 
 @dataclass(frozen=True)
@@ -205,7 +208,8 @@ def main() -> None:
                     row = replace(
                         b, way=f"extrapolated {cells[coarse]:g} {cells[finer]:g}", runout=runout,
                         runout_error=runout / wanted - 1, curve_error=nothing, height_error=nothing,
-                        profile_error=nothing, mean_error=runout / wanted - 1, scatter=nothing, seconds=a.seconds + b.seconds,
+                        profile_error=nothing, mean_error=runout / wanted - 1, scatter=nothing,
+                        seconds=a.seconds + b.seconds,
                         times_faster=reference_seconds / (a.seconds + b.seconds),
                     )  # fmt: skip
                     rows.append(row)

@@ -1,7 +1,8 @@
 """Checkpoints: a file that knows its model, its data and where it came from, and runs no code when it is read.
 
 A Lightning checkpoint with one more key, "gns_pl": format version, simulator config, the data's specification and
-provenance, all plain values. `load_checkpoint` needs that key and the weights alone.
+provenance, all plain values, and what the network saw in training, which earlier files lack. `load_checkpoint` needs
+that key and the weights alone.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import torch
 
 from gns_pl.errors import InputError
+from gns_pl.graph import Seen
 from gns_pl.io import atomic_path
 from gns_pl.pretrained import find_checkpoint
 from gns_pl.simulator import Simulator, SimulatorConfig
@@ -33,27 +35,32 @@ class Checkpoint:
         simulator: the simulator, in evaluation mode, on the CPU.
         data: the specification of the data it was trained on, as in conf/data/.
         provenance: versions, commit, resolved config, hash of the dataset's manifest, steps made.
+        seen: what the network saw in training (`Simulator.state`); None in files that do not say.
     """
 
     simulator: Simulator
     data: dict[str, Any]
     provenance: dict[str, Any]
+    seen: Seen | None = None
 
 
-def checkpoint_entry(config: SimulatorConfig, data: Mapping[str, Any], provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the trainer stores under `KEY`, plain values only."""
-    return {
+def checkpoint_entry(
+    config: SimulatorConfig, data: Mapping[str, Any], provenance: Mapping[str, Any], seen: Seen | None = None
+) -> dict[str, Any]:
+    """Return what the trainer stores under `KEY`, plain values and tensors only."""
+    entry = {
         "format_version": FORMAT_VERSION,
         "config": config.to_dict(),
         "data": dict(data),
         "provenance": dict(provenance),
     }
+    return entry if seen is None else {**entry, "seen": seen.to_dict()}
 
 
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint without trainer state, whole or not at all: weights, statistics, config, data, provenance."""
     weights = {PREFIX + name: value for name, value in checkpoint.simulator.state_dict().items()}
-    entry = checkpoint_entry(checkpoint.simulator.config, checkpoint.data, checkpoint.provenance)
+    entry = checkpoint_entry(checkpoint.simulator.config, checkpoint.data, checkpoint.provenance, checkpoint.seen)
     with atomic_path(path) as temporary:
         torch.save({"state_dict": weights, KEY: entry}, temporary)
 
@@ -106,7 +113,8 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         simulator.load_state_dict(weights)
     except RuntimeError as error:
         raise InputError(f"{path}: its weights do not fit its own configuration; the file is damaged.") from error
-    return Checkpoint(simulator.eval(), entry["data"], entry["provenance"])
+    seen = Seen.from_dict(entry["seen"]) if "seen" in entry else None
+    return Checkpoint(simulator.eval(), entry["data"], entry["provenance"], seen)
 
 
 def load_simulator(path: str | Path) -> Simulator:

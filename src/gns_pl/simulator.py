@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
+from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
 from gns_pl.nn import EncodeProcessDecode, PairNetwork
 
 OUTPUTS = ("acceleration", "gated", "held", "pairs")
@@ -174,11 +174,8 @@ class Simulator(nn.Module):
         self.acceleration_scale.fill_(acceleration)
         self.material_scale.copy_(material)
 
-    def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
-        """Return the network's (a − g) / `acceleration_scale` [N, D].
-
-        It is a contact force over a mass, so it is exactly zero for a particle that has neither a neighbour nor a wall
-        within the connectivity radius: such a particle falls freely, whatever the weights are.
+    def features(self, history: Tensor, static: Static) -> tuple[Tensor, Tensor]:
+        """Return what every particle knows of itself [N, F], and the edges [2, E].
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
@@ -205,6 +202,50 @@ class Simulator(nn.Module):
             material_scale=self.material_scale,
             context=config.context,
         )
+        return node, edge_index
+
+    def state(self, history: Tensor, static: Static) -> Tensor:
+        """Return all that a step depends on of every particle and its surroundings, by which states are compared.
+
+        Features, `graph.surroundings`, and what gravity adds to a velocity in a step, over `velocity_scale`.
+
+        Args:
+            history: [N, H, D] [m].
+            static: the scenes.
+
+        Returns:
+            [N, F + 3 + D], as `state_names`.
+        """
+        config = self.config
+        node, edge_index = self.features(history, static)
+        velocity = (history[:, -1] - history[:, -2]) / (config.dt * self.velocity_scale)
+        near = surroundings(history[:, -1], velocity, edge_index, config.connectivity_radius)
+        gravity = static.of_particles(static.gravity) * config.dt / self.velocity_scale
+        return torch.cat([node, near, gravity.expand_as(velocity)], dim=1)
+
+    def state_names(self) -> list[str]:
+        """Return in a word what each column of `state` is about."""
+        config = self.config
+        names = ["velocity"] * (config.dim * (config.input_sequence_length - 1)) + ["walls"] * (2 * config.dim)
+        if config.context:
+            names += ["floor", "overburden", "empty height", "density", *["momentum above"] * config.dim]
+        names += ["type"] * (len(config.particle_types) if len(config.particle_types) > 1 else 0)
+        names += config.material_features
+        return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
+
+    def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
+        """Return the network's (a − g) / `acceleration_scale` [N, D].
+
+        It is a contact force over a mass, so it is exactly zero for a particle that has neither a neighbour nor a wall
+        within the connectivity radius: such a particle falls freely, whatever the weights are.
+
+        Args:
+            history: positions of the last H frames, the latest last [N, H, D] [m].
+            static: the scenes.
+        """
+        config = self.config
+        position, velocity = history[:, -1], history.diff(dim=1) / config.dt
+        node, edge_index = self.features(history, static)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = self.network(node, edge, edge_index)
         if config.output == "pairs":

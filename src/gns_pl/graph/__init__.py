@@ -8,12 +8,14 @@ from gns_pl.graph.features import Static, edge_features, edge_width, node_featur
 from gns_pl.graph.neighbours import BACKENDS, NUMBA, radius_graph
 from gns_pl.graph.noise import coherent_noise, random_walk_noise
 from gns_pl.graph.reuse import NeighbourList
+from gns_pl.graph.seen import Seen, surroundings
 
 __all__ = [
     "BACKENDS",
     "NUMBA",
     "Draws",
     "NeighbourList",
+    "Seen",
     "Static",
     "coherent_noise",
     "edge_features",
@@ -22,4 +24,5 @@ __all__ = [
     "node_width",
     "radius_graph",
     "random_walk_noise",
+    "surroundings",
 ]

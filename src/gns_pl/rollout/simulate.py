@@ -26,6 +26,7 @@ from gns_pl.pretrained import find_checkpoint, pretrained_names
 from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
+from gns_pl.rollout.familiarity import told
 from gns_pl.rollout.fitted import start_of
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
@@ -168,6 +169,10 @@ def simulate(
             return [job.path for job in jobs]
         if left:
             _write(left, simulator, step, identity, rest)
+            for job in left:
+                sentence = told(checkpoint, job.path)
+                if sentence is not None:
+                    print(f"{job.path}: {sentence}; do not trust it without a look at MPM.")
     for job in jobs:
         if job not in left:
             print(f"{job.path}: is there {job.ended or 'whole'}")

@@ -13,7 +13,7 @@ from torch_geometric.data import Data
 
 from gns_pl.checkpoint import KEY, checkpoint_entry
 from gns_pl.evaluation.metrics import rollout_errors
-from gns_pl.graph import Draws, Static
+from gns_pl.graph import Draws, Seen, Static
 from gns_pl.rollout import rollout
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.training.distillation import Elder
@@ -82,6 +82,7 @@ class SimulatorModule(LightningModule):
         self.seed = seed
         self.provenance = provenance
         self.elder = elder
+        self.seen: Seen | None = None  # set once the statistics are; stored in the checkpoint
 
     def training_step(self, batch: Data, batch_index: int) -> dict[str, Tensor]:
         """Return "loss", that of this process's windows, and "joined", that of all processes' windows."""
@@ -183,7 +184,7 @@ class SimulatorModule(LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what `gns_pl.checkpoint` reads."""
         provenance = {**self.provenance, "steps": self.global_step}
-        checkpoint[KEY] = checkpoint_entry(self.simulator.config, self.data, provenance)
+        checkpoint[KEY] = checkpoint_entry(self.simulator.config, self.data, provenance, self.seen)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Forget the time that earlier starts took: `trainer.max_time` is that of each start."""

@@ -36,6 +36,7 @@ from gns_pl.training.devices import check_devices, is_rank_zero, together
 from gns_pl.training.distillation import Elder
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
+from gns_pl.training.seen import measure_seen
 
 PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
 
@@ -249,6 +250,13 @@ def build_module(
         moments = {name: seen.to_dict() for name, seen in datamodule.statistics().items()}
     scales = statistics(moments, of_data["dt"], settings["data"]["gravity"], training.perturbation.noise_std)
     module.simulator.set_statistics(**scales, material=material_scale(datamodule, len(of_data["material_features"])))
+    module.seen = measure_seen(
+        module.simulator,
+        datamodule.train_set,
+        symmetry=training.optimisation.symmetry,
+        seed=settings["seed"],
+        source=module.provenance["manifest_sha256"],
+    )
     return module
 
 
