@@ -31,6 +31,7 @@ SETTINGS = {
     "domain": [1.5, 0.5, 0.7],
     "duration": 1.5,
     "seed": 3,
+    "placements": 0,
     "device": "cpu",
     "figures": False,
     "snapshots": [0, 1],

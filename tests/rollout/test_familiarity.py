@@ -138,7 +138,7 @@ def test_shipped_checkpoints_know_columns_of_theirs_and_not_those_of_the_moon(
 ) -> None:
     checkpoint = load_checkpoint("collapse_plane")
     settings = {"only": None, "domain": [2.0, 0.7], "duration": 2.0, "interval": 0.02, "data": checkpoint.data}
-    scene = build_scenes({"column": {"length": 0.3, "height": 0.3}}, **settings)["column"]
+    scene = build_scenes({"column": {"length": 0.3, "height": 0.3}}, None, **settings)["column"]
     found = familiarity(checkpoint, rollout(checkpoint.simulator, start_of(scene, checkpoint, 0, {}), 20))
     assert found is not None and found.sentence() is None and found.early(0.2) < 0.6
     moon = scene.replace(gravity=(0.0, -1.62), name="moon", duration=0.2)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from gns_pl.checkpoint import Checkpoint
     from gns_pl.evaluation.references import Reference
+    from gns_pl.rollout.familiarity import Familiarity
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,14 @@ class SceneResult:
         curves: the same keys → `compute_curves`.
         failed_at: time of the rollout's first frame that is not finite [s]; None if there is none.
         report: this scene's part of metrics.json.
+        familiarity: how far the rollout was from training; None if the checkpoint does not say what it saw.
     """
 
     trajectories: dict[str, Trajectory]
     curves: dict[str, Curves]
     failed_at: float | None
     report: dict[str, Any]
+    familiarity: Familiarity | None = None
 
 
 def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
@@ -165,6 +168,7 @@ def evaluate(
     duration: float,
     spread: Sequence[float],
     seed: int,
+    placements: int,
     device: str,
     figures: bool,
     snapshots: Sequence[float],
@@ -187,6 +191,7 @@ def evaluate(
         duration: simulated time of the columns [τc].
         spread: cells of further MPM runs over those of the data, by which the reference's own error is told.
         seed: of the particles' placement.
+        placements: number of runs from other placements, for a band on the runout.
         device: "auto", or a device as torch names it.
         figures: draw, or leave out figures and animations.
         snapshots: times of the evolution figure [τc]; the last frame comes besides.
@@ -231,7 +236,7 @@ def evaluate(
     for name, scene in built.items():
         print(f"{name}: MPM (computed once, then cached) and the learned rollout …", flush=True)
         reference = stored.get(name) or reference_of(scene, checkpoint, cache=cache, seed=seed, cells=spread)
-        results[name] = result = judge_scene(name, reference, checkpoint)
+        results[name] = result = judge_scene(name, reference, checkpoint, placements=placements, seed=seed)
         files.append(out / f"curves_{name}.csv")
         write_curves(files[-1], result.curves)
         if save_trajectories:
@@ -252,7 +257,9 @@ def evaluate(
     return document, files
 
 
-def judge_scene(name: str, reference: Reference, checkpoint: Checkpoint) -> SceneResult:
+def judge_scene(
+    name: str, reference: Reference, checkpoint: Checkpoint, *, placements: int = 0, seed: int = 0
+) -> SceneResult:
     """Run one scene by the learned simulator, and measure both.
 
     The rollout starts from the reference's first frame, so both have the same particles, one to one. A rollout that
@@ -262,8 +269,13 @@ def judge_scene(name: str, reference: Reference, checkpoint: Checkpoint) -> Scen
         name: of the scene, for messages.
         reference: of the material point method.
         checkpoint: the simulator.
+        placements: number of runs from other placements, for a band on the runout.
+        seed: of the first of them.
     """
+    from gns_pl.evaluation.bands import ensemble_bands
     from gns_pl.rollout import rollout
+    from gns_pl.rollout.familiarity import familiarity
+    from gns_pl.rollout.fitted import start_of
     from gns_pl.rollout.progress import counting
 
     truth = reference.trajectory
@@ -275,6 +287,10 @@ def judge_scene(name: str, reference: Reference, checkpoint: Checkpoint) -> Scen
     curves = {key: compute_curves(trajectory) for key, trajectory in trajectories.items()}
     still, errors = compare(_motionless(truth), truth), compare(learned, truth)
     length, height = initial_extent(truth.scene)
+    found = familiarity(checkpoint, trajectories["learned"])
+    starts = [start_of(truth.scene, checkpoint, number, {}) for number in range(seed, seed + placements)]
+    duration = (truth.num_frames - 1) * truth.dt
+    ends = ensemble_bands([checkpoint], starts, duration=duration).members[:, -1].tolist() if starts else []
     report: dict[str, Any] = {
         "scene": truth.scene.to_dict(),
         "length": length,
@@ -289,6 +305,15 @@ def judge_scene(name: str, reference: Reference, checkpoint: Checkpoint) -> Scen
         "reference": summarise(truth, curves["reference"]),
         "learned": {quantity.name: errors[quantity.name] for quantity in SUMMARY},
         "no_motion": {quantity.name: still[quantity.name] for quantity in SUMMARY},
+        "familiarity": None
+        if found is None
+        else {
+            "left_at": found.left_at,
+            "early": found.early(characteristic_time(truth.scene)),
+            "sentence": found.sentence(),
+            "reasons": list(found.reasons),
+        },
+        "placements": ends,
         "reference_spread": {"cells": list(reference.cells), **reference.spread},
         "errors": {
             "learned": {quantity.name: errors[quantity.name] for quantity in COMPARISON},
@@ -300,7 +325,7 @@ def judge_scene(name: str, reference: Reference, checkpoint: Checkpoint) -> Scen
         },
         "made_by": {"reference": truth.provenance, "learned": learned.provenance},
     }
-    return SceneResult(trajectories, curves, failed_at, report)
+    return SceneResult(trajectories, curves, failed_at, report, found)
 
 
 def _motionless(reference: Trajectory) -> Trajectory:

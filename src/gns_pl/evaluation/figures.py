@@ -34,12 +34,25 @@ def draw(
     Returns:
         Paths of the files.
     """
-    from gns_pl.viz import plot_curves, plot_evolution, plot_laws, write_animation
+    from gns_pl.rollout.familiarity import LIMIT
+    from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
 
     curves = {name: {TITLES[key]: values for key, values in result.curves.items()} for name, result in results.items()}
     files = [out / "runout_height.png", out / "runout_height.pdf", out / "energy.png"]
     plot_curves(curves, ("runout", "height"), files[:2])
     plot_curves(curves, ("energy", "speed"), files[2:])
+    far = {name: result.familiarity for name, result in results.items() if result.familiarity is not None}
+    if far:
+        files.append(out / "familiarity.png")
+        distances = {
+            name: (
+                each.time / characteristic_time(results[name].trajectories["reference"].scene),
+                each.mean,
+                each.share,
+            )
+            for name, each in far.items()
+        }
+        plot_familiarity(distances, LIMIT, files[-1])
     columns = [result.report for result in results.values() if is_column(result.trajectories["reference"].scene)]
     if len(columns) >= LEAST_COLUMNS:
         files += [out / "laws.png", out / "laws.pdf"]

@@ -16,6 +16,7 @@ SHARED = (
     ("runout_height", "Runout and height over time"),
     ("laws", "Runout beside published laws"),
     ("energy", "Energy and speed"),
+    ("familiarity", "How far each run is from training; above the dashed line it is beyond (docs/trust.md)"),
 )
 """Figures of all scenes together: name of the file, caption."""
 
@@ -65,6 +66,7 @@ def _model(name: str, document: Mapping[str, Any], folder: Path) -> dict[str, An
             "rows": scene_rows(scene),
             "figures": [_figure(folder / pattern.format(key), caption) for pattern, caption in OF_SCENE],
             "verdict": verdict(scene),
+            "trust": trust(scene),
         }
         for key, scene in document["scenes"].items()
     }
@@ -101,6 +103,24 @@ def verdict(scene: Mapping[str, Any]) -> str:
         text += f"; {number(wall['learned'])} s instead of {number(wall['reference'])} s, "
         text += f"{ratio:.2g} times faster" if ratio >= 1 else f"{1 / ratio:.2g} times slower"
     return f"{text}."
+
+
+def trust(scene: Mapping[str, Any]) -> str:
+    """Return in words whether the run stayed where the network was trained, and how far placements come apart."""
+    found = scene["familiarity"]
+    if found is None:
+        text = "The checkpoint does not say what it saw in training."
+    elif found["sentence"] is None:
+        text = f"Within what was seen in training (distance {found['early']:.2g} until τc)."
+    else:
+        text = f"Beyond what was seen in training: {found['sentence']}."
+    placed = [value for value in scene["placements"] if value is not None]
+    if placed:
+        text += (
+            f" From {len(scene['placements'])} other placements the runout is {min(placed):.3g} to {max(placed):.3g} L0"
+        )
+        text += "." if len(placed) == len(scene["placements"]) else "; others failed."
+    return text
 
 
 def provenance(document: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -53,6 +53,9 @@ def log_evaluation(
             errors = scene["errors"]["learned"]
             run.summary.update({f"{name}/errors/{key}": value for key, value in errors.items()})
             run.summary.update({f"{name}/failed_at": scene["failed_at"]})
+            run.summary.update(
+                {f"{name}/familiarity/{key}": value for key, value in (scene["familiarity"] or {}).items()}
+            )
     finally:
         wandb.finish()
     return folder

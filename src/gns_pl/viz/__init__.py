@@ -7,6 +7,7 @@ draw. ParaView series need none of them.
 from importlib.util import find_spec
 
 from gns_pl.viz.animation import write_animation
+from gns_pl.viz.familiarity import plot_familiarity
 from gns_pl.viz.laws import plot_laws
 from gns_pl.viz.learning_curve import plot_learning_curve
 from gns_pl.viz.notebook import interactive
@@ -21,6 +22,7 @@ __all__ = [
     "missing_packages",
     "plot_curves",
     "plot_evolution",
+    "plot_familiarity",
     "plot_laws",
     "plot_learning_curve",
     "plot_sweep",
