@@ -4,14 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: install quickstart test test-slow validation test-gpu lint clean
+.PHONY: install quickstart test test-slow notebooks validation test-gpu lint clean
 
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "gns_pl needs Python 3.11 or newer; name one: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[viz,viz3d,dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[viz,viz3d,notebooks,dev]'
 	@touch $@
 
 quickstart: $(STAMP)
@@ -23,6 +23,10 @@ test: $(STAMP)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
+
+# The kernel is this environment's, whatever kernels a user has.
+notebooks: $(STAMP)
+	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m pytest --nbmake notebooks --nbmake-timeout=170 --nbmake-kernel=python3 --durations=4
 
 validation: $(STAMP)
 	$(BIN)/python benchmarks/mpm_validation.py
