@@ -41,7 +41,8 @@ def plot_laws(
                 continue
             ratio, runout, spread = (np.array(values) for values in zip(*kept, strict=True))
             axes.errorbar(
-                ratio, runout, yerr=np.minimum(spread, 0.99 * runout) if spread.any() else None, color=colour, marker=marker, markersize=4,
+                ratio, runout, yerr=np.minimum(spread, 0.99 * runout) if spread.any() else None,
+                color=colour, marker=marker, markersize=4,
                 markerfacecolor="none" if name != next(iter(runouts)) else colour, linestyle="none",
                 elinewidth=0.8, capsize=2, label=name,
             )  # fmt: skip
