@@ -33,7 +33,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from gns_pl.evaluation.curves import compute_curves
+from gns_pl.evaluation.curves import Curves, compute_curves
 from gns_pl.evaluation.measures import characteristic_time, deposit_profile, particle_spacing
 from gns_pl.generation.reference import reference_trajectory
 from gns_pl.rollout.by_choice import make_ways
@@ -87,9 +87,9 @@ def column(name: str, kind: str, paper: dict[str, object]) -> Scene:
     return scene.replace(duration=INTERVAL * np.ceil(DURATION * characteristic_time(scene) / INTERVAL))
 
 
-def errors(made: Trajectory, fine: Trajectory) -> dict[str, float]:
-    """Return the errors of a run against the reference."""
-    ours, theirs = compute_curves(made), compute_curves(fine)
+def errors(made: Trajectory, fine: Trajectory, theirs: Curves) -> dict[str, float]:
+    """Return the errors of a run against the reference and its curves."""
+    ours = compute_curves(made)
     runout, wanted = ours["runout_99"], theirs["runout_99"]
     number = min(len(runout), len(wanted))
     width = 2 * max(particle_spacing(made), particle_spacing(fine))
@@ -141,7 +141,7 @@ def main() -> None:
     corrected = choice["corrected"] if args.corrected is None else args.corrected
     ways = make_ways(learned, corrected, choice["handed"], choice["cells"], choice["mpm"])
     own = {way.name for way in ways}
-    simulators = [way for way in ways if type(way) is LearnedWay]
+    simulators = [way for way in ways if type(way) is LearnedWay and way.name in choice["learned"]]
     extra: list[Way] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in simulators]
     extra += [
         replace(way, name=f"{way.name}+sleep", rest_speed=args.rest_speed, sleep=args.rest_speed) for way in simulators
@@ -168,7 +168,8 @@ def main() -> None:
                 )
                 reference_seconds = float(fine.provenance["wall_seconds"])
                 fine = reduced.lift(fine)
-                wanted = compute_curves(fine)["runout_99"][-1]
+                curves = compute_curves(fine)
+                wanted = curves["runout_99"][-1]
                 print(
                     f"\n{kind}, a = {name}, {threads} threads: {wanted:.3f} L0 by 1/48 m in {reference_seconds:.1f} s"
                 )
@@ -185,7 +186,7 @@ def main() -> None:
                     particles = way.size(scene)[0]
                     seeds = args.seeds if seconds < 2 else min(args.seeds, 3)
                     others = [run(seed) for seed in range(1, seeds)] if seconds < 20 else []
-                    found = [errors(each, fine) for each in (made, *others)]
+                    found = [errors(each, fine, curves) for each in (made, *others)]
                     worst = {key: max((each[key] for each in found), key=abs) for key in found[0]}
                     mean = {key: statistics.mean(each[key] for each in found) for key in found[0]}
                     row = Row(
