@@ -238,7 +238,7 @@ def draw(rows: list[Row], path: Path) -> None:
         for way, found in points.items():
             seconds = statistics.median(row.seconds for row in found)
             error = max(100 * max(abs(row.runout_error) for row in found), 1.0)
-            solver, guessed = way.startswith("mpm"), way.startswith("extrapolated")
+            solver, guessed = bool(re.match(r"mpm_\d", way)), way.startswith("extrapolated")
             colour = "C7" if guessed else "C0" if solver else "C1" if way.startswith("corrected") else "C2"
             axis.plot(seconds, error, "x" if guessed else "o", color=colour)
             cells = [str(round(0.4243 / float(part) * 1e3)) for part in re.findall(r"[\d.]+", way)]
