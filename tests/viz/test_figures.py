@@ -1,13 +1,16 @@
 """Figures and animations: they exist, show something, and survive what goes wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from gns_pl.evaluation.curves import compute_curves, cut
-from gns_pl.viz import plot_curves, plot_evolution, write_animation
+from gns_pl.evaluation.laws import LAWS
+from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
 from gns_pl.viz.animation import COLOURS, GREYS, TONES, _palette
-from gns_pl.viz.plots import PANELS
+from gns_pl.viz.plots import PANELS, failure_surface
 from tests.evaluation.made_up import SPACING, column, spreading, standing
 
 SCALE = 0.14
@@ -84,3 +87,31 @@ def test_an_animation_has_no_more_frames_than_the_flow(tmp_path) -> None:
 
 def test_palette_is_full() -> None:
     assert GREYS + COLOURS * TONES == 256 and len(_palette()) == 768
+
+
+def test_the_failure_surface_is_where_motion_begins() -> None:
+    """Everything above the line z = 0.3 − x/2 has slid away along the slope."""
+    still = standing(column(2, length=0.5, height=0.4), spacing=0.01)
+    position = still.position.astype(np.float64)
+    moving = position[0, :, 1] > 0.3 - position[0, :, 0] / 2
+    position[1:, moving] += [0.02, 0.0]
+    x, z = failure_surface(replace(still, position=position.astype(np.float32)), 1, 0.01)
+    inside = (x > 0.03) & (x < 0.47)
+    np.testing.assert_allclose(z[inside], 0.3 - x[inside] / 2, atol=0.016)
+    assert np.isnan(z[x > 0.53]).all()
+
+
+def test_nothing_moves_and_all_is_static() -> None:
+    x, z = failure_surface(standing(column(2, length=0.5, height=0.4), spacing=0.01), 1, 0.01)
+    np.testing.assert_allclose(z[x < 0.49], 0.4, atol=0.02)
+
+
+def test_runouts_beside_laws_and_distances_over_time(tmp_path) -> None:
+    runouts = {"MPM": [(0.8, 1.0, 0.1), (2.0, 3.0, 0.2)], "learned": [(0.8, 1.1, 0.0), (2.0, float("nan"), 0.0)]}
+    plot_laws(runouts, {law.source: law for law in LAWS}, [tmp_path / "laws.png", tmp_path / "laws.pdf"])
+    assert (tmp_path / "laws.pdf").read_bytes().startswith(b"%PDF")
+    orange = (pixels(tmp_path / "laws.png") == (0xD5, 0x5E, 0x00)).all(axis=2)
+    assert orange.any()
+    time = np.linspace(0, 6, 10)
+    plot_familiarity({"a": (time, 0.1 * time, 0.01 * time)}, 0.1, tmp_path / "far.png")
+    assert (pixels(tmp_path / "far.png") < 128).any()
