@@ -11,6 +11,7 @@ import torch
 
 from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.errors import InputError
+from gns_pl.generation.pool import available_cores
 from gns_pl.io import read_trajectory
 from gns_pl.rollout.by_choice import make_ways, simulate_by_choice
 from gns_pl.rollout.choice import RECORDS, Record, choose, kind_of, read_records, table, weigh
@@ -152,11 +153,14 @@ def test_the_cheapest_that_is_accurate_enough(learned: LearnedWay) -> None:
         chosen, why = choose(options, tolerance)
         assert chosen.way.name == name and words in why
     assert "30.0 %" in table(options, scene)
+    twice = [*records, Record(**{**vars(records[3]), "threads": 2, "seconds": 1.0, "runout_error": 0.02})]
+    [fine] = [each for each in weigh(scene, ways, twice) if each.way.name == "fine"]
+    assert fine.error == 0.03 and fine.seconds == pytest.approx(3.0 if available_cores() == 1 else 1.0)
     options = weigh(column(sides=ROUGH), ways, records)
     chosen, why = choose(options, 0.5)
     assert chosen.way.name == "fine" and "beyond everything learned" in why
     assert "not: is of plane strain" in table(options, column(sides=ROUGH))
-    assert "coarse               not: was not measured" in table(options, column(sides=ROUGH))
+    assert f"{'coarse':24} not: was not measured" in table(options, column(sides=ROUGH))
     with pytest.raises(InputError, match="tolerance must be positive"):
         choose(options, 0.0)
     with pytest.raises(InputError, match="no way was measured"):

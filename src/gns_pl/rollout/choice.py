@@ -106,18 +106,17 @@ def weigh(scene: Scene, ways: Sequence[Way], records: Sequence[Record]) -> list[
         records: what was measured.
     """
     kind, options = kind_of(scene), []
-    # As measured on as many cores as there are, or the next fewer.
-    records = [each for each in records if each.kind == kind]
-    numbers = {each.threads for each in records}
-    threads = max((each for each in numbers if each <= available_cores()), default=min(numbers, default=1))
-    records = [each for each in records if each.threads == threads]
     for way in ways:
         reason = way.why_not(scene)
-        measured = [each for each in records if each.way == way.name]
+        measured = [each for each in records if each.way == way.name and each.kind == kind]
         error = seconds = None
         if measured and reason is None:
             error = max(FINE_ERROR, *(abs(each.runout_error) for each in measured))
-            seconds = way.work(scene) * statistics.median(each.seconds / each.work for each in measured)
+            # Errors do not depend on the number of threads. Times are those of as many as there are, or the next fewer.
+            numbers = {each.threads for each in measured}
+            threads = max((each for each in numbers if each <= available_cores()), default=min(numbers))
+            timed = [each for each in measured if each.threads == threads]
+            seconds = way.work(scene) * statistics.median(each.seconds / each.work for each in timed)
         if not measured and reason is None:
             reason = "was not measured on scenes of this kind"
         options.append(Option(way, error, seconds, reason))
@@ -167,12 +166,12 @@ def named(options: Sequence[Option], name: str) -> Option:
 
 def table(options: Sequence[Option], scene: Scene) -> str:
     """Return the options as text, one a line."""
-    lines = [f"{'way':20} {'runs as':34} {'error':>7} {'time':>9}"]
+    lines = [f"{'way':24} {'runs as':34} {'error':>7} {'time':>9}"]
     for each in options:
         if each.reason is not None or each.error is None or each.seconds is None:
-            lines.append(f"{each.way.name:20} not: {each.reason}")
+            lines.append(f"{each.way.name:24} not: {each.reason}")
             continue
         particles, steps = each.way.size(scene)
         how = f"{each.way.reduced(scene).scene.dim}-D, {particles:,} particles, {steps:,} steps"
-        lines.append(f"{each.way.name:20} {how:34} {100 * each.error:5.1f} % {each.seconds:7.2f} s")
+        lines.append(f"{each.way.name:24} {how:34} {100 * each.error:5.1f} % {each.seconds:7.2f} s")
     return "\n".join(lines)
