@@ -24,6 +24,12 @@ pytest.importorskip("imageio_ffmpeg")
 WIDTH = 400
 
 
+@pytest.fixture(autouse=True)
+def screenless() -> None:
+    if not studio.draws_without_screen():
+        pytest.skip("VTK finds no OpenGL to draw without a screen")
+
+
 def coloured(image: np.ndarray) -> np.ndarray:
     """Where grains are; the colour bar in the lowest of the page's half inches is left out."""
     grains = np.ptp(image.astype(int), axis=2) > 30
