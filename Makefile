@@ -26,7 +26,7 @@ test-slow: $(STAMP)
 
 # The kernel is this environment's, whatever kernels a user has.
 notebooks: $(STAMP)
-	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m pytest --nbmake notebooks --nbmake-timeout=170 --nbmake-kernel=python3 --durations=4
+	JUPYTER_PREFER_ENV_PATH=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --nbmake notebooks --nbmake-timeout=600 --nbmake-kernel=python3 --durations=4
 
 validation: $(STAMP)
 	$(BIN)/python benchmarks/mpm_validation.py
