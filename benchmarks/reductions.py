@@ -34,7 +34,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from gns_pl.evaluation.curves import Curves, compute_curves
-from gns_pl.evaluation.measures import characteristic_time, deposit_profile, particle_spacing
+from gns_pl.evaluation.measures import deposit_profile, particle_spacing
 from gns_pl.generation.reference import reference_trajectory
 from gns_pl.rollout.by_choice import make_ways
 from gns_pl.rollout.choice import Record
@@ -42,6 +42,7 @@ from gns_pl.rollout.fitted import LearnedWay
 from gns_pl.rollout.reduction import Reduction, reduce_scene
 from gns_pl.rollout.ways import MPMWay, Way
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict
+from gns_pl.scene.extent import characteristic_time
 from gns_pl.trajectory import Trajectory
 
 COLUMNS = {  # a: L0, H0, box [m]

@@ -7,19 +7,20 @@ import pytest
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation import measures
+from gns_pl.scene.extent import characteristic_time, initial_extent
 from tests.evaluation.made_up import DT, HEIGHT, LENGTH, SPACING, column, moved, standing
 
 G = 9.81
 
 
 def test_extent_and_time_scale() -> None:
-    assert measures.initial_extent(column()) == pytest.approx((LENGTH, HEIGHT))
-    assert measures.characteristic_time(column()) == pytest.approx(np.sqrt(HEIGHT / G))
+    assert initial_extent(column()) == pytest.approx((LENGTH, HEIGHT))
+    assert characteristic_time(column()) == pytest.approx(np.sqrt(HEIGHT / G))
 
 
 def test_time_scale_needs_gravity() -> None:
     with pytest.raises(InputError, match="no gravity"):
-        measures.characteristic_time(column().replace(gravity=(0, 0, 0)))
+        characteristic_time(column().replace(gravity=(0, 0, 0)))
 
 
 @pytest.mark.parametrize("dim", [2, 3])

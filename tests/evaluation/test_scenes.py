@@ -5,10 +5,10 @@ from dataclasses import asdict
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation.measures import characteristic_time
 from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.scene import Wall, write_scene
 from gns_pl.scene.definition import FACES
+from gns_pl.scene.extent import characteristic_time
 from tests.evaluation.made_up import SAND, column
 
 DATA = {

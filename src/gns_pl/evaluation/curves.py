@@ -15,6 +15,7 @@ import numpy as np
 from gns_pl.evaluation import measures
 from gns_pl.evaluation.measures import Floats
 from gns_pl.fields import ParticleType
+from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.trajectory import Trajectory
 
 Curves = dict[str, Floats]
@@ -96,7 +97,7 @@ def compute_curves(trajectory: Trajectory) -> Curves:
     """
     flow = mobile(trajectory)
     scene, mass = flow.scene, flow.mass.astype(np.float64)
-    length, _ = measures.initial_extent(scene)
+    length, _ = initial_extent(scene)
     spacing = measures.particle_spacing(flow)
     distance = flow.position.astype(np.float64) - np.array(scene.lower)
     front = measures.percentile_front(distance[:, :, 0], mass, (99, 99.5, 100), spacing)
@@ -107,7 +108,7 @@ def compute_curves(trajectory: Trajectory) -> Curves:
     speed = measures.speeds(flow)
     return {
         "time": flow.time,
-        "time_tau": flow.time / measures.characteristic_time(scene),
+        "time_tau": flow.time / characteristic_time(scene),
         "runout_99": runout[0],
         "runout_995": runout[1],
         "runout_max": runout[2],

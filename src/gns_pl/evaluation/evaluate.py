@@ -12,10 +12,11 @@ import numpy as np
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.curves import Curves, compute_curves, cut, num_finite_frames, write_curves
-from gns_pl.evaluation.measures import characteristic_time, initial_extent, particle_spacing
+from gns_pl.evaluation.measures import particle_spacing
 from gns_pl.evaluation.metrics import COMPARISON, SUMMARY, compare, summarise
 from gns_pl.evaluation.scenes import build_scenes, chosen
 from gns_pl.pretrained import find_checkpoint, pretrained_names
+from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -234,7 +235,8 @@ def evaluate(
     move(checkpoint, device, "evaluation.device")
     results, files = {}, []
     for name, scene in built.items():
-        print(f"{name}: MPM (computed once, then cached) and the learned rollout …", flush=True)
+        source = "MPM (computed once, then cached)" if split is None else "stored MPM"
+        print(f"{name}: {source} and the learned rollout …", flush=True)
         reference = stored.get(name) or reference_of(scene, checkpoint, cache=cache, seed=seed, cells=spread)
         results[name] = result = judge_scene(name, reference, checkpoint, placements=placements, seed=seed)
         files.append(out / f"curves_{name}.csv")

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.evaluation.laws import LAWS
-from gns_pl.evaluation.measures import characteristic_time, particle_spacing
+from gns_pl.evaluation.measures import particle_spacing
+from gns_pl.scene.extent import characteristic_time
 
 if TYPE_CHECKING:
     from gns_pl.evaluation.evaluate import SceneResult

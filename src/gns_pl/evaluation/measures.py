@@ -1,6 +1,6 @@
 """What is measured on a trajectory: pure functions of arrays, in SI units unless a docstring says otherwise.
 
-No torch, no file and no figure belongs here. `curves` applies these to every frame, `metrics` to a whole trajectory.
+No file and no figure belongs here. `curves` applies these to every frame, `metrics` to a whole trajectory.
 
 A particle of a set with spacing s stands for a cube of edge s around its position (`particle_spacing`). Fronts and
 heights are those of the cubes and not of their centres, so that a column filled with a lattice has exactly the length
@@ -23,30 +23,6 @@ Floats = NDArray[np.float64]
 
 ARREST_TOLERANCE = 0.02
 """A front is at rest once less than this share of its whole advance is left."""
-
-
-def initial_extent(scene: Scene) -> tuple[float, float]:
-    """Return the initial length L0 along x and height H0 along the last axis of all bodies together [m].
-
-    For a column against the x = lower wall these are its edges, and H0 / L0 its aspect ratio a.
-    """
-    extent = [
-        max(body.upper[axis] for body in scene.bodies) - min(body.position[axis] for body in scene.bodies)
-        for axis in (0, scene.dim - 1)
-    ]
-    return extent[0], extent[1]
-
-
-def characteristic_time(scene: Scene) -> float:
-    """Return τc = √(H0 / g) [s], the time scale of a collapse (Lube et al. 2005; Lajeunesse et al. 2005).
-
-    Raises:
-        InputError: a scene without gravity.
-    """
-    gravity = math.hypot(*scene.gravity)
-    if gravity == 0:
-        raise InputError(f"scene {scene.name!r}: it has no gravity, so a collapse has no characteristic time.")
-    return math.sqrt(initial_extent(scene)[1] / gravity)
 
 
 def particle_spacing(trajectory: Trajectory) -> float:
@@ -212,8 +188,7 @@ def rollout_mse(squared_error: Floats, num_steps: int) -> float:
 def solid_fraction(position: Floats, volume: Floats, scene: Scene, cell: float) -> Floats:
     """Return the share of space that is filled around every particle: 1 inside a body, more where it is squeezed [N].
 
-    Volumes are spread to the nodes of a grid with multilinear weights, divided by the part of each node's cell that
-    lies in the box, and interpolated back. At a surface the mean includes what is empty.
+    That of the network's context features (`graph.context`). At a surface the mean includes what is empty.
 
     Args:
         position: [N, D] [m].
@@ -221,26 +196,15 @@ def solid_fraction(position: Floats, volume: Floats, scene: Scene, cell: float) 
         scene: for the box.
         cell: wanted edge of the grid's cells, some spacings [m].
     """
-    lower, edges = np.array(scene.lower), np.array(scene.upper) - np.array(scene.lower)
-    cells = np.maximum(np.rint(edges / cell), 1).astype(np.int64)
-    size, shape = edges / cells, tuple(cells + 1)
-    place = np.clip((position - lower) / size, 0, cells - 1e-9)
-    base = place.astype(np.int64)
-    part = place - base
-    corners = []
-    for corner in np.ndindex(*(2,) * scene.dim):
-        weight = np.prod(np.where(corner, part, 1 - part), axis=1)
-        corners.append((np.ravel_multi_index(tuple((base + corner).T), shape), weight))
-    filled = np.zeros(math.prod(shape))
-    for index, weight in corners:
-        filled += np.bincount(index, weights=weight * volume, minlength=len(filled))
-    room = np.ones(())
-    for axis in range(scene.dim):
-        along = np.full(shape[axis], size[axis])
-        along[[0, -1]] /= 2
-        room = np.multiply.outer(room, along)
-    fraction = filled / room.ravel()
-    return np.asarray(sum(weight * fraction[index] for index, weight in corners))
+    import torch
+
+    from gns_pl.graph.context import ContextGrid, context_fields
+
+    lower, upper = (torch.tensor([corner], dtype=torch.float64) for corner in (scene.lower, scene.upper))
+    grid, place = ContextGrid.of(lower, upper, cell), torch.from_numpy(position)
+    batch = torch.zeros(len(position), dtype=torch.int64)
+    *_, fraction = context_fields(place, torch.zeros_like(place), grid, batch, volume=torch.from_numpy(volume))
+    return np.asarray(fraction.numpy())
 
 
 def sinkhorn_distance(first: Floats, second: Floats, num_points: int = 200) -> float:

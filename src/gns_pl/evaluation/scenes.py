@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation.measures import characteristic_time
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
+from gns_pl.scene.extent import characteristic_time
 
 T = TypeVar("T")
 

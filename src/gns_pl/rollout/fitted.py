@@ -24,6 +24,7 @@ from gns_pl.rollout.reduction import Reduction, to_plane, why_not_plane
 from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.training_range import beyond
 from gns_pl.scene import Particles, Scene, fill_scene
+from gns_pl.scene.extent import characteristic_time
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 OVERHEAD = 300
@@ -202,9 +203,7 @@ class HandedWay(LearnedWay):
     def shares(self, scene: Scene) -> tuple[int, int]:
         """Return how many learned steps the first and the second make."""
         less, steps = self.reduced(scene).scene, self.size(scene)[1]
-        height = max(body.upper[-1] for body in less.bodies) - min(body.position[-1] for body in less.bodies)
-        tau = math.sqrt(height / math.hypot(*less.gravity))
-        early = min(steps, max(1, round(self.until * tau / self.interval)))
+        early = min(steps, max(1, round(self.until * characteristic_time(less) / self.interval)))
         return early, steps - early
 
     @property

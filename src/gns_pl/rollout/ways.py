@@ -14,6 +14,7 @@ from typing import Any, Protocol
 from gns_pl.generation import solver
 from gns_pl.rollout.reduction import Reduction, reduce_scene
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import initial_extent
 from gns_pl.trajectory import Trajectory
 
 
@@ -42,11 +43,7 @@ class Way(Protocol):
 
 def characteristic_size(scene: Scene) -> float:
     """Return √(L0 H0) of all bodies together, their extent along x and z [m]."""
-    extents = [
-        max(body.upper[axis] for body in scene.bodies) - min(body.position[axis] for body in scene.bodies)
-        for axis in (0, scene.dim - 1)
-    ]
-    return math.sqrt(extents[0] * extents[1])
+    return math.sqrt(math.prod(initial_extent(scene)))
 
 
 @dataclass(frozen=True)

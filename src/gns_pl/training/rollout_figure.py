@@ -11,7 +11,8 @@ import numpy as np
 from lightning.pytorch import Callback, LightningModule, Trainer
 
 from gns_pl.evaluation.curves import compute_curves
-from gns_pl.evaluation.measures import characteristic_time, initial_extent, particle_spacing
+from gns_pl.evaluation.measures import particle_spacing
+from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.trajectory import Trajectory
 from gns_pl.viz import missing_packages, plot_curves, plot_evolution
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.scene import Plane, Scene
+from gns_pl.scene.extent import characteristic_time
 from gns_pl.trajectory import Trajectory
 from gns_pl.viz.raster import colour_map, displacement
 
@@ -243,7 +244,5 @@ def evenly(number: int, at_most: int) -> list[int]:
 
 
 def collapse_time(scene: Scene) -> float | None:
-    """Return τc = √(H0 / g) [s], with the height H0 of all bodies together; None without gravity."""
-    gravity = math.hypot(*scene.gravity)
-    height = max(body.upper[-1] for body in scene.bodies) - min(body.position[-1] for body in scene.bodies)
-    return math.sqrt(height / gravity) if gravity else None
+    """Return τc = √(H0 / g) [s]; None without gravity."""
+    return characteristic_time(scene) if any(scene.gravity) else None
