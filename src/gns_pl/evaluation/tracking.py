@@ -1,8 +1,11 @@
-"""An evaluation as a W&B run, offline unless asked otherwise: no account is ever needed."""
+"""An evaluation, or a chart, as a W&B run, offline unless asked otherwise: no account is ever needed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -29,21 +32,7 @@ def log_evaluation(
     """
     import wandb
 
-    try:
-        run = wandb.init(
-            project=project,
-            job_type="evaluation",
-            dir=str(out),
-            mode="offline" if offline else "online",
-            config=dict(document["checkpoint"]),
-            settings=wandb.Settings(silent=True, console="off"),
-        )
-    except wandb.errors.Error as error:
-        raise InputError(
-            f"W&B could not start ({error}); the results are in {out}, and logger.offline=true needs no account."
-        ) from error
-    try:
-        folder = Path(run.dir).parent
+    with started("evaluation", dict(document["checkpoint"]), out=out, offline=offline, project=project) as run:
         media: dict[str, Any] = {file.stem: wandb.Image(str(file)) for file in files if file.suffix == ".png"}
         media |= {f"animation_{file.stem}": wandb.Video(str(file)) for file in files if file.suffix in (".gif", ".mp4")}
         run.log(media | {"metrics": _table(wandb, document)})
@@ -56,9 +45,77 @@ def log_evaluation(
             run.summary.update(
                 {f"{name}/familiarity/{key}": value for key, value in (scene["familiarity"] or {}).items()}
             )
+        return Path(run.dir).parent
+
+
+def log_chart(
+    points: Sequence[Any], figure: Path, caption: str, *, command: str, out: Path, offline: bool, project: str
+) -> Path:
+    """Log a chart of speed against accuracy: figure, table of points, and time and error of each in the summary.
+
+    Args:
+        points: `chart.points.Point`.
+        figure: PNG.
+        caption: of the figure.
+        command: by which it was measured.
+        out: as of `log_evaluation`, like the next two.
+        offline: likewise.
+        project: likewise.
+
+    Returns:
+        Folder of the run.
+
+    Raises:
+        InputError: W&B refuses to start.
+    """
+    import wandb
+
+    with started("benchmark", {"command": command}, out=out, offline=offline, project=project) as run:
+        names = [each.name for each in fields(points[0])]
+        table = wandb.Table(columns=names, data=[[_finite(getattr(each, name)) for name in names] for each in points])
+        run.log({"chart": wandb.Image(str(figure), caption=caption), "points": table})
+        for each in points:
+            run.summary.update({f"{each.name}/{key}": _finite(getattr(each, key)) for key in ("seconds", "error")})
+        return Path(run.dir).parent
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextmanager
+def started(job_type: str, config: Mapping[str, Any], *, out: Path, offline: bool, project: str) -> Iterator[Any]:
+    """Give a W&B run, and close it whatever happens.
+
+    Args:
+        job_type: of the run.
+        config: of the run.
+        out: folder under which W&B puts its own folder.
+        offline: keep the run on this disk.
+        project: W&B project.
+
+    Raises:
+        InputError: W&B refuses to start, as it does online without an account. The results are on disk by then.
+    """
+    import wandb
+
+    try:
+        run = wandb.init(
+            project=project,
+            job_type=job_type,
+            dir=str(out),
+            mode="offline" if offline else "online",
+            config=dict(config),
+            settings=wandb.Settings(silent=True, console="off"),
+        )
+    except wandb.errors.Error as error:
+        raise InputError(
+            f"W&B could not start ({error}); the results are in {out}, and logger.offline=true needs no account."
+        ) from error
+    try:
+        yield run
     finally:
         wandb.finish()
-    return folder
 
 
 def _table(wandb: Any, document: Mapping[str, Any]) -> Any:
