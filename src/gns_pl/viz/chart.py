@@ -184,7 +184,7 @@ def _write_names(axes: Any, named: Sequence[tuple[str, tuple[float, float], str]
     taken = [(x - 3, y - 3, x + 3, y + 3) for x, y in spots]
     for (name, place, colour), (x, y) in zip(named, spots, strict=True):
         width, height, boxes = 0.56 * size * len(name), 1.1 * size, []
-        for lift in (0, 7, -7, 14, -14, 21, -21, 28, -28):
+        for lift in (4, -4, 10, -10, 16, -16, 22, -22, 28, -28):
             for left in (4.0, -4.0 - width):
                 boxes.append((x + left, y + lift - height / 2, x + left + width, y + lift + height / 2))
         box = min(boxes, key=lambda each: sum(_overlap(each, other) for other in taken))

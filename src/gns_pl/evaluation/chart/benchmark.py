@@ -113,12 +113,13 @@ def finish(
     Raises:
         InputError: nothing was measured there.
     """
-    from gns_pl.evaluation.chart.draw import FIGURES, PAGE, POINTS, draw
     from gns_pl.evaluation.chart.plan import read_plan
-    from gns_pl.evaluation.chart.records import records_of, write_records
     from gns_pl.evaluation.chart.rows import Tables
 
-    plan, tables = read_plan(out / PLAN), Tables(out)
+    plan, tables = read_plan(out / PLAN), Tables(out)  # refused before anything heavy is imported
+    from gns_pl.evaluation.chart.draw import FIGURES, PAGE, POINTS, draw
+    from gns_pl.evaluation.chart.records import records_of, write_records
+
     made = draw(plan, tables, out, logger=logger)
     ways = {each.name for each in plan.entries if each.for_choice}
     found = records_of(row for row in plan.runs(tables.runs) if row.name in ways)

@@ -12,7 +12,7 @@ from gns_pl.evaluation.chart.plan import Plan
 from gns_pl.evaluation.chart.points import Point, points_of, rows_by_name
 from gns_pl.evaluation.chart.rows import Tables, rendered
 from gns_pl.evaluation.chart.verdicts import verdicts
-from gns_pl.evaluation.chart.words import caption, page, scenes_of
+from gns_pl.evaluation.chart.words import caption, page, scenes_of, threads_of
 from gns_pl.io.atomic import write_atomically
 from gns_pl.viz import Mark, plot_chart
 
@@ -51,7 +51,7 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     rates: dict[str, tuple[str, list[tuple[int, float]]]] = {}
     for row in batches:
         rates.setdefault(row.name, (row.group, []))[1].append((row.batch, row.scenes_per_second))
-    where = "; ".join(f"{place.machine}, {place.threads} threads a run" for place in plan.places.values())
+    where = "; ".join(f"{place.machine}, {threads_of(place)} a run" for place in plan.places.values())
     title = f"{', '.join(each.name for each in plan.scenes)}: {where}"
     figures = [out / name for name in FIGURES]
     plot_chart(marks, rates, band=plan.band, title=title, caption=under, paths=figures)

@@ -81,26 +81,27 @@ def measure(
     if len(kinds) > 1:
         raise InputError("some scenes are in plane strain and some are not: chart them apart, with another out=.")
     [kind] = kinds
+    if set(reference.get(kind) or {}) != {"cells_per_metre", "placements"}:
+        raise InputError(f"reference.{kind}: needs cells_per_metre and placements.")
     pairs = tuple((float(coarse), float(fine)) for coarse, fine in extrapolate["pairs"])
     if any(not fine > coarse > 0 for coarse, fine in pairs):
         raise InputError(f"extrapolate.pairs: each is two numbers of cells, the coarser first, not {list(pairs)}.")
     on = learned_device(device)
-    solver_on = choose_device(device if device != "auto" or on == "cpu" else "auto") if on == "cuda" else "cpu"
+    solver_on = choose_device("auto") if on == "cuda" else "cpu"
     entries, left_out = runnable(make_entries(ckpt, choice, variants, float(trivial["cells"]), on, solver_on), scenes)
     spent = {entry.name: cost_of_entry(entry, costs) for entry in entries if entry.group in LEARNED}
     with speed.on_threads(threads or available_cores()) as number:
         places = {each: speed.place_of(each, number) for each in sorted({entry.device for entry in entries})}
         judged = []
         for scene in scenes:
-            wanted = reference[kind]
-            say(f"{scene.name}: reference on cells of 1/{wanted['cells_per_metre'][0]:g} m …")
+            say(f"{scene.name}: the reference, where it is not kept from before …")
             fine = converged(
                 scene,
                 mpm=choice["mpm"],
                 order=float(reference["order"]),
                 interval=frame_interval,
                 cache=cache,
-                **wanted,
+                **reference[kind],
             )
             say(f"  {fine.runout[-1]:.4f} L0, within {100 * fine.uncertainty:.1f} %, {fine.seconds:.1f} s a run")
             judged.append(fine)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from gns_pl.evaluation.chart.plan import LEARNED, Plan, SceneFacts
 from gns_pl.evaluation.chart.points import Point
-from gns_pl.evaluation.chart.rows import BatchRow, RunRow
+from gns_pl.evaluation.chart.rows import BatchRow, Place, RunRow
 from gns_pl.evaluation.chart.verdicts import Verdict, pace_of, percent, seconds
 
 HEAD = (
@@ -73,8 +73,7 @@ def page(
     """
     scenes = plan.scenes
     where = "; ".join(
-        f"{place.machine}, {place.device}, {place.threads} thread{'s' if place.threads > 1 else ''} a run "
-        f"({place.versions})"
+        f"{place.machine}, {place.device}, {threads_of(place)} a run ({place.versions})"
         for place in plan.places.values()
     )
     number = min((each.runs for each in points if each.group == "mpm"), default=0) // max(1, len(scenes))
@@ -94,12 +93,12 @@ def page(
         "",
         *(_scene_line(each) for each in scenes),
         "",
-        "The error is that of the final runout of 99 % of the mass, relative to the reference, as root mean square over "
-        f"scenes and placements ({number} each). Times are medians over as many warm runs, taken in turns with all "
-        f"others in one process{sittings}, and means over the scenes.{few} In them are: placing the particles, neighbour "
-        "search, network or grid, integration, and copies of every frame to the host. Not in them: compilation, "
-        "reading checkpoints, writing files; the table has the first run, compilation included, and the writing of a "
-        f"file apart. All give frames {scenes[0].interval:g} s apart. Slices are measured as slices.",
+        "The error is that of the final runout of 99 % of the mass, relative to the reference, as root mean square "
+        f"over scenes and placements ({number} each). Times are medians over as many warm runs, in turns with all "
+        f"others in one process{sittings}, and means over the scenes.{few} In them are: placing the particles, "
+        "neighbour search, network or grid, integration, copies of every frame to the host. Not in them: compilation, "
+        "reading checkpoints, writing files; the table has the first run, with what was compiled in it, and the "
+        f"writing of a file apart. All give frames {scenes[0].interval:g} s apart. Slices are measured as slices.",
         "",
         "## Who wins",
         "",
@@ -147,6 +146,11 @@ def _cost_cells(each: Point) -> tuple[str, ...]:
     equal = "none as accurate" if math.isinf(each.equal_seconds) else seconds(each.equal_seconds)
     times = (seconds(each.data_seconds), seconds(each.train_seconds), seconds(each.seconds))
     return (f"`{each.name}`", *times, equal, scenes_of(each))
+
+
+def threads_of(place: Place) -> str:
+    """Return how many threads a run had, in words."""
+    return f"{place.threads} thread{'s' if place.threads > 1 else ''}"
 
 
 def scenes_of(point: Point) -> str:
