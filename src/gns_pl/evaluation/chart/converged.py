@@ -57,6 +57,26 @@ class Converged:
     identity: str
     words: str
 
+    @classmethod
+    def by(cls, runs: Sequence[Trajectory], scene: Scene, **others: Any) -> Converged:
+        """Return what runs of a scene say in the mean.
+
+        Args:
+            runs: of several placements, with equal numbers of frames.
+            scene: as of the attributes, like the others.
+            others: all that do not follow from the runs.
+        """
+        curves = [compute_curves(each) for each in runs]
+        return cls(
+            scene=scene,
+            interval=runs[0].dt,
+            runs=tuple(runs),
+            runout=np.mean([each["runout_99"] for each in curves], axis=0),
+            height=float(np.mean([each["mean_height"][-1] for each in curves])),
+            seconds=statistics.mean(float(each.provenance.get("wall_seconds", math.nan)) for each in runs),  # type: ignore[arg-type]
+            **others,
+        )
+
     @property
     def num_frames(self) -> int:
         """T."""
@@ -116,21 +136,15 @@ def converged(
         ]
         # A slice is measured as it is: its layers would all say the same.
         runs.append([each if each.scene.dim < scene.dim else reduced.lift(each) for each in made])
-    curves = [[compute_curves(each) for each in made] for made in runs]
-    ends = [[float(each["runout_99"][-1]) for each in made] for made in curves]
-    asked = [scene.to_dict(), dict(mpm), list(cells_per_metre), placements, interval]
-    finest = f"cells of 1/{cells_per_metre[0]:g} m, {placements} placements"
-    return Converged(
-        scene=scene,
+    ends = [[float(compute_curves(each)["runout_99"][-1]) for each in made] for made in runs]
+    finest = f"cells of 1/{cells_per_metre[0]:g} m, {placements} placement{'s' if placements > 1 else ''}"
+    return Converged.by(
+        runs[0],
+        scene,
         flat=reduced.scene if reduced.scene.dim < scene.dim else scene,
-        interval=interval,
-        runs=tuple(runs[0]),
-        runout=np.mean([each["runout_99"] for each in curves[0]], axis=0),
-        height=float(np.mean([each["mean_height"][-1] for each in curves[0]])),
         uncertainty=uncertainty_of(ends, cells_per_metre, order),
-        seconds=statistics.mean(float(each.provenance.get("wall_seconds", math.nan)) for each in runs[0]),  # type: ignore[arg-type]
-        identity=hashed(asked),
-        words=f"MPM on {finest}{f'; {reduced.words}' if reduced.words else ''}",
+        identity=hashed([scene.to_dict(), dict(mpm), list(cells_per_metre), placements, interval]),
+        words=f"MPM on {finest}{f' ({reduced.words})' if reduced.words else ''}",
     )
 
 
