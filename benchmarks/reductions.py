@@ -11,8 +11,8 @@ slice or half that gives the same. Times are medians of warm runs: neighbours, n
 them, compilation and files are not. Errors are relative, the largest of the placements beside mean and standard
 deviation of the runout's; "curve" is the mean absolute difference of the 99 % runout over time, over its final value.
 "extrapolated" takes the runout, and nothing else, linearly in the cell from two MPM runs. Rows that a table has of
-other kinds, columns and threads stay in it. `benchmark.py` charts more settings, all in turns, with what they cost before;
-this table has what sleeps and rests, and both kinds at once.
+other kinds, columns and threads stay in it. `benchmark.py` charts more settings, all in turns, with what they cost
+before; this table has what sleeps and rests, and both kinds at once.
 """
 
 from __future__ import annotations
