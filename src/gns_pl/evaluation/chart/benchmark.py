@@ -29,7 +29,7 @@ def benchmark_config(cfg: DictConfig) -> list[Path]:
     from gns_pl.evaluation.evaluate import check_figures, named_checkpoints
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    check_figures()
+    check_figures(without=".")
     evaluation, logger, paper, side_walls, out = (
         settings.pop(key) for key in ("evaluation", "logger", "paper", "side_walls", "out")
     )

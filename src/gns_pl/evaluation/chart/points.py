@@ -13,7 +13,7 @@ import numpy as np
 from gns_pl.evaluation.chart.baselines import FittedLaw, extrapolate
 from gns_pl.evaluation.chart.front import Spot, break_even, pareto_front, seconds_of_error
 from gns_pl.evaluation.chart.plan import LEARNED, Cost, Plan, SceneFacts
-from gns_pl.evaluation.chart.rows import RunRow, Table
+from gns_pl.evaluation.chart.rows import Place, RunRow, Table
 from gns_pl.evaluation.laws import LAWS
 
 
@@ -39,6 +39,9 @@ class Point:
         particles: of the largest scene.
         dtype: of the arithmetic.
         device: "cpu" or "cuda".
+        machine: on which it was measured.
+        threads: that a run might use.
+        versions: of packages.
         data_seconds: spent before on data [s]; NaN where nobody knows, 0 where nothing was.
         train_seconds: on training, likewise.
         equal_seconds: what MPM takes for the same error (`front.seconds_of_error`) [s].
@@ -65,6 +68,9 @@ class Point:
     particles: int
     dtype: str
     device: str
+    machine: str
+    threads: int
+    versions: str
     data_seconds: float = 0.0
     train_seconds: float = 0.0
     equal_seconds: float = math.nan
@@ -97,7 +103,8 @@ def points_of(plan: Plan, table: Table[RunRow]) -> list[Point]:
         began = time.perf_counter()
         for _ in range(100):
             law(1.0)
-        points.append(law_point(name, law, plan.scenes, (time.perf_counter() - began) / 100, spent))
+        seconds = (time.perf_counter() - began) / 100
+        points.append(law_point(name, law, plan.scenes, seconds, spent, next(iter(plan.places.values()))))
     return compared(points, plan.costs)
 
 
@@ -147,6 +154,9 @@ def point_of(rows: Sequence[RunRow]) -> Point:
         particles=max(row.particles for row in rows),
         dtype=first.dtype,
         device=first.device,
+        machine=first.machine,
+        threads=first.threads,
+        versions=first.versions,
         first_seconds=statistics.median(row.first_seconds for row in rows),
         file_seconds=statistics.median(row.file_seconds for row in rows),
     )
@@ -179,7 +189,12 @@ def extrapolated(coarse: Sequence[RunRow], fine: Sequence[RunRow], ratio: float,
 
 
 def law_point(
-    name: str, law: Callable[[float], float], scenes: Sequence[SceneFacts], seconds: float, data_seconds: float
+    name: str,
+    law: Callable[[float], float],
+    scenes: Sequence[SceneFacts],
+    seconds: float,
+    data_seconds: float,
+    place: Place,
 ) -> Point:
     """Return the point of a law of the aspect ratio, which gives the runout and nothing else.
 
@@ -189,13 +204,15 @@ def law_point(
         scenes: with their true runouts.
         seconds: that one evaluation takes [s].
         data_seconds: of the runs it was fitted to [s]; 0 for a published one.
+        place: of the other settings.
     """
     errors = [law(each.aspect_ratio) / each.runout - 1 for each in scenes]
     return Point(
         name=name, group="law", seconds=seconds, seconds_low=seconds, seconds_high=seconds,
         error=_root_mean_square(errors), largest_error=max(errors, key=abs), bias=statistics.mean(errors),
         height_error=math.nan, profile_error=math.nan, curve_error=math.nan, runs=len(errors), failed=0, dim=0,
-        particles=0, dtype="float64", device="cpu", data_seconds=data_seconds,
+        particles=0, dtype="float64", device="cpu", machine=place.machine,
+        threads=place.threads, versions=place.versions, data_seconds=data_seconds,
     )  # fmt: skip
 
 
