@@ -124,7 +124,7 @@ def _draw_front(axes: Any, marks: Sequence[Mark], band: float) -> None:
     axes.set_ylim(bottom=0.8 * max(LEAST, min([band, *(each.error for each in marks)])))
     axes.grid(alpha=0.25, linewidth=0.4)
     axes.set_xlim(right=3 * max(each.seconds for each in marks))
-    axes.legend(loc="lower left", fontsize=6)
+    axes.legend(loc="center left", bbox_to_anchor=(0.04, 0.4), fontsize=6)
     _write_names(axes, named)
 
 
@@ -145,7 +145,7 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
         axes.set_xlim(right=every[-1] * 4)
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("")
-        _write_names(axes, named)
+        _write_names(axes, sorted(named, key=lambda each: each[1][1]), right=True)
     else:
         axes.set_title("throughput was not measured")
     axes.grid(alpha=0.25, linewidth=0.4)
@@ -177,15 +177,23 @@ def _percent_axis(axes: Any) -> None:
     axes.set_ylim(low, high)
 
 
-def _write_names(axes: Any, named: Sequence[tuple[str, tuple[float, float], str]], size: float = 5.5) -> None:
-    """Write names beside their places, each where it covers no earlier one and no mark, as far as there is room."""
+def _write_names(axes: Any, named: Sequence[tuple[str, tuple[float, float], str]], *, right: bool = False) -> None:
+    """Write names beside their places, each where it covers no earlier one and no mark, as far as there is room.
+
+    Args:
+        axes: with their final limits.
+        named: text, place and colour of each.
+        right: only to the right of the places, in their order from below.
+    """
+    size = 5.5
     to_points = 72 / axes.figure.dpi
     spots = [tuple(to_points * axes.transData.transform(place)) for _, place, _ in named]
     taken = [(x - 3, y - 3, x + 3, y + 3) for x, y in spots]
     for (name, place, colour), (x, y) in zip(named, spots, strict=True):
         width, height, boxes = 0.56 * size * len(name), 1.1 * size, []
-        for lift in (4, -4, 10, -10, 16, -16, 22, -22, 28, -28):
-            for left in (4.0, -4.0 - width):
+        lifts = range(0, 90, 6) if right else (4, -4, 10, -10, 16, -16, 22, -22, 28, -28)
+        for lift in lifts:
+            for left in (4.0 + right * lift / 3,) if right else (4.0, -4.0 - width):
                 boxes.append((x + left, y + lift - height / 2, x + left + width, y + lift + height / 2))
         box = min(boxes, key=lambda each: sum(_overlap(each, other) for other in taken))
         taken.append(box)

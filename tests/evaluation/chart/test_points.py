@@ -73,8 +73,10 @@ def test_verdicts_follow_the_data_and_what_was_timed_in_turns(tmp_path: Path) ->
     timed = RatioRow("poor", "of poor", "mpm_10", "of mpm_10", "both", PLACE.machine, 1, 0.9, 1.8, 2.0, 5)
     again = verdicts(points, plan().ratios([timed]))[1]  # type: ignore[arg-type]
     assert again.in_turns and again.good_ratio == 2.0 and not again.solver_wins
+    tie = verdicts(points, plan().ratios([replace(timed, ratio=0.97)]))[1]  # type: ignore[arg-type]
+    assert tie.level and not tie.solver_wins and "Level with MPM as accurate: poor." in caption([tie], points, 0.01)
     text = caption([good, poor], points, 0.01)
-    assert "MPM wins, as accurate in no more time, against 1 of 2 trained ways: poor (is 1.12 times faster)." in text
+    assert "MPM wins, as accurate in less time, against 1 of 2 trained ways: poor (is 1.12 times faster)." in text
     assert "good is ahead: no MPM here is as accurate." in text
 
 

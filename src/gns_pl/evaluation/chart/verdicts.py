@@ -10,6 +10,9 @@ from gns_pl.evaluation.chart.plan import LEARNED
 from gns_pl.evaluation.chart.points import Point
 from gns_pl.evaluation.chart.rows import RatioRow
 
+TIE = 0.05
+"""Times that differ by less than this part are called equal: repeated measurements differ by as much."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -32,9 +35,14 @@ class Verdict:
     in_turns: bool
 
     @property
+    def level(self) -> bool:
+        """Whether a material point run is as accurate and takes as long, within `TIE`."""
+        return self.good_ratio is not None and abs(self.good_ratio - 1) < TIE
+
+    @property
     def solver_wins(self) -> bool:
-        """Whether a material point run is as accurate and no slower."""
-        return self.good_ratio is not None and self.good_ratio <= 1
+        """Whether a material point run is as accurate and faster, by more than `TIE`."""
+        return self.good_ratio is not None and self.good_ratio <= 1 - TIE
 
     def others(self) -> list[str]:
         """Return the names of the material point runs that it is to be timed with in turns; none for what failed."""
@@ -88,7 +96,7 @@ def verdicts(points: Sequence[Point], ratios: Iterable[RatioRow] = ()) -> list[V
 
 def pace_of(ratio: float) -> str:
     """Return the time of another over the own in words."""
-    if 0.995 < ratio < 1.005:
+    if abs(ratio - 1) < TIE:
         return "takes as long"
     return f"takes {ratio:.3g} times as long" if ratio > 1 else f"is {1 / ratio:.3g} times faster"
 

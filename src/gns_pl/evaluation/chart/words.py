@@ -26,15 +26,16 @@ def caption(found: Sequence[Verdict], points: Sequence[Point], band: float) -> s
         band: uncertainty of the reference, relative.
     """
     won = [each for each in found if each.solver_wins]
-    lost = [each for each in found if not each.solver_wins and not each.own.failed]
+    level = [each.own.name for each in found if each.level and not each.own.failed]
+    lost = [each for each in found if not each.solver_wins and not each.level and not each.own.failed]
     parts = []
     if won:
         names = ", ".join(f"{each.own.name} ({pace_of(each.good_ratio or 1.0)})" for each in won)
-        parts.append(
-            f"MPM wins, as accurate in no more time, against {len(won)} of {len(found)} trained ways: {names}."
-        )
+        parts.append(f"MPM wins, as accurate in less time, against {len(won)} of {len(found)} trained ways: {names}.")
     elif found:
         parts.append(f"MPM wins against none of {len(found)} trained ways.")
+    if level:
+        parts.append(f"Level with MPM as accurate: {', '.join(level)}.")
     for each in lost:
         ahead = (
             "no MPM here is as accurate" if each.as_good is None else f"MPM as accurate {pace_of(each.good_ratio or 1)}"
