@@ -134,9 +134,7 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
         _, colour, marker = GROUPS[group]
         sizes, speeds = zip(*sorted(points), strict=True)
         axes.plot(sizes, speeds, color=colour, marker=marker, markersize=3, linewidth=0.8)
-        axes.annotate(
-            name, (sizes[-1], speeds[-1]), xytext=(3, 0), textcoords="offset points", fontsize=5, color=colour
-        )
+        named.append((name, (sizes[-1], speeds[-1]), colour))
     every = sorted({size for _, points in rates.values() for size, _ in points})
     axes.set(yscale="log", xlabel="scenes at once", ylabel="scenes per second")
     if every:
@@ -193,7 +191,7 @@ def _write_names(axes: Any, named: Sequence[tuple[str, tuple[float, float], str]
         width, height, boxes = 0.56 * size * len(name), 1.1 * size, []
         lifts = range(0, 90, 6) if right else (4, -4, 10, -10, 16, -16, 22, -22, 28, -28)
         for lift in lifts:
-            for left in (4.0 + right * lift / 3,) if right else (4.0, -4.0 - width):
+            for left in (4.0 + lift / 4,) if right else (4.0, -4.0 - width):
                 boxes.append((x + left, y + lift - height / 2, x + left + width, y + lift + height / 2))
         box = min(boxes, key=lambda each: sum(_overlap(each, other) for other in taken))
         taken.append(box)
