@@ -9,9 +9,10 @@ Columns of a = 0.8, 1.2, 2.0 and 3.0 stand between smooth side walls ("plane", p
 rough ones ("space"). The reference is MPM on cells of 1/48 m: in three dimensions for a = 0.8 and 2.0, else on the
 slice or half that gives the same. Times are medians of warm runs: neighbours, network, integration and copies are in
 them, compilation and files are not. Errors are relative, the largest of the placements beside mean and standard
-deviation of the runout's; "curve" is the mean absolute
-difference of the 99 % runout over time, over its final value. "extrapolated" takes the runout, and nothing else,
-linearly in the cell from two MPM runs. Rows that a table has of other kinds, columns and threads stay in it.
+deviation of the runout's; "curve" is the mean absolute difference of the 99 % runout over time, over its final value.
+"extrapolated" takes the runout, and nothing else, linearly in the cell from two MPM runs. Rows that a table has of
+other kinds, columns and threads stay in it. `benchmark.py` charts more settings, all in turns, with what they cost
+before; this table has what sleeps and rests, and both kinds at once.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import re
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numba
@@ -33,8 +34,9 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from gns_pl.evaluation.curves import Curves, compute_curves
-from gns_pl.evaluation.measures import deposit_profile, particle_spacing
+from gns_pl.evaluation.chart.baselines import extrapolate
+from gns_pl.evaluation.chart.converged import Converged, errors_of
+from gns_pl.evaluation.chart.rows import rendered
 from gns_pl.generation.reference import reference_trajectory
 from gns_pl.rollout.by_choice import make_ways
 from gns_pl.rollout.choice import Record
@@ -86,22 +88,6 @@ def column(name: str, kind: str, paper: dict[str, object]) -> Scene:
         material=part_from_dict(Material, "material", paper["material"]), walls=walls, name=f"column_{name}",
     )  # fmt: skip
     return scene.replace(duration=INTERVAL * np.ceil(DURATION * characteristic_time(scene) / INTERVAL))
-
-
-def errors(made: Trajectory, fine: Trajectory, theirs: Curves) -> dict[str, float]:
-    """Return the errors of a run against the reference and its curves."""
-    ours = compute_curves(made)
-    runout, wanted = ours["runout_99"], theirs["runout_99"]
-    number = min(len(runout), len(wanted))
-    width = 2 * max(particle_spacing(made), particle_spacing(fine))
-    profiles = [deposit_profile(each.position[-1], each.mass, fine.scene, width)[1] for each in (made, fine)]
-    return {
-        "runout": float(runout[-1]),
-        "runout_error": float(runout[-1] / wanted[-1] - 1),
-        "curve_error": float(np.abs(runout[:number] - wanted[:number]).mean() / wanted[-1]),
-        "height_error": float(ours["mean_height"][-1] / theirs["mean_height"][-1] - 1),
-        "profile_error": float(np.abs(profiles[0] - profiles[1]).sum() / profiles[1].sum()),
-    }
 
 
 def timed(run: Callable[[], Trajectory], turns: int) -> tuple[Trajectory, float]:
@@ -169,9 +155,10 @@ def main() -> None:
                     reduced.scene, settings, frame_interval=INTERVAL, seed=0, cache_directory=kept
                 )
                 reference_seconds = float(fine.provenance["wall_seconds"])
-                fine = reduced.lift(fine)
-                curves = compute_curves(fine)
-                wanted = curves["runout_99"][-1]
+                judged = Converged.by(
+                    [reduced.lift(fine)], scene, flat=scene, uncertainty=float("nan"), identity="", words="1/48 m"
+                )
+                wanted = judged.facts.runout
                 print(
                     f"\n{kind}, a = {name}, {threads} threads: {wanted:.3f} L0 by 1/48 m in {reference_seconds:.1f} s"
                 )
@@ -188,7 +175,7 @@ def main() -> None:
                     particles = way.size(scene)[0]
                     seeds = args.seeds if seconds < 2 else min(args.seeds, 3)
                     others = [run(seed) for seed in range(1, seeds)] if seconds < 20 else []
-                    found = [errors(each, fine, curves) for each in (made, *others)]
+                    found = [errors_of(each, judged) for each in (made, *others)]
                     worst = {key: max((each[key] for each in found), key=abs) for key in found[0]}
                     mean = {key: statistics.mean(each[key] for each in found) for key in found[0]}
                     row = Row(
@@ -206,7 +193,7 @@ def main() -> None:
                     pair = [of_cell[key][0] for key in sorted(of_cell)]
                     cells = sorted(of_cell)
                     a, b, h, k = pair[coarse], pair[finer], 1 / cells[coarse], 1 / cells[finer]
-                    runout = b.runout + (b.runout - a.runout) * k / (h - k)
+                    runout = extrapolate(a.runout, b.runout, h / k)
                     nothing = float("nan")
                     row = replace(
                         b, way=f"extrapolated {cells[coarse]:g} {cells[finer]:g}", runout=runout,
@@ -283,11 +270,7 @@ def read(path: Path | None) -> list[Row]:
 
 def write(path: Path, rows: list[Row], kind: type) -> None:
     """Write a table of a kind's fields."""
-    names = [field.name for field in fields(kind)]
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, names, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+    path.write_text(rendered(kind, rows))
 
 
 if __name__ == "__main__":

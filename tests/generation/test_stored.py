@@ -15,6 +15,7 @@ import pytest
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, draw_plan, generate_dataset, solver
+from gns_pl.generation.records import read_timings
 from gns_pl.generation.solver import place_points
 from gns_pl.io import read_header, read_manifest, read_trajectory, verify_dataset
 from tests.generation.fake import DROPS, FINE, fake_solver, make_spec, make_thinned_spec
@@ -41,7 +42,10 @@ def root(faked: None, tmp_path: Path) -> Path:
 
 def test_there_is_a_data_set_for_every_k(root: Path) -> None:
     assert {path.name for path in root.iterdir()} == {"every_2", "every_3", "generation.json", "timings.csv", ".lock"}
-    assert len((root / "timings.csv").read_text().splitlines()) == 1 + 8
+    lines = (root / "timings.csv").read_text().splitlines()
+    assert len(lines) == 1 + 8
+    spent = sum(float(line.split(",")[1]) for line in lines[1:])
+    assert read_timings(root) == pytest.approx(spent) == read_timings(root / "every_2")
     two, three = (verify_dataset(root / f"every_{every}") for every in EVERY)
     assert (two.spacing, three.spacing) == (2 / 16, 3 / 16)
     assert two.spec == three.spec == make_thinned_spec()

@@ -113,6 +113,10 @@ def test_limits_that_make_no_sense_are_refused(settings: dict[str, float]) -> No
         stabilise(make_simulator(), **settings)
 
 
-def test_pairs_do_not_sleep() -> None:
-    with pytest.raises(InputError, match="sleep=0"):
-        stabilise(make_simulator(output="pairs", num_message_passing_steps=1), sleep=0.1)
+@pytest.mark.parametrize("pairs", [True, False])
+def test_who_sleeps_does_so_where_no_message_can_be_saved(column: Scene, pairs: bool) -> None:
+    simulator, start = make_simulator(output="pairs" if pairs else "held"), make_start(column)
+    step = None if pairs else lambda history, static: simulator(history, static)
+    made = rollout(stabilise(simulator, sleep=100.0, step=step), start, 12).position
+    np.testing.assert_array_equal(made[5:], np.repeat(made[5:6], len(made) - 5, axis=0))
+    assert np.abs(made[4] - made[0]).max() > 0

@@ -135,6 +135,7 @@ def test_fitting_finds_what_a_coarse_run_misses(tmp_path: Path, fine: Trajectory
     path = fit_corrector(settings, tmp_path / "run")
     file = load_corrector(path)
     assert file.provenance["steps"] in (100, 200, 300)
+    assert file.provenance["cost"]["train_seconds"] > 0
     assert len(runout_errors(file.corrector, [fine])) == 1 and runout_errors(plain(), [fine])[0] < -0.1
     missed = [
         (velocity - file.corrector(before, now, after, static_of(fine)), velocity)

@@ -48,6 +48,8 @@ def test_the_run_leaves_what_it_promises(data_root: Path, tmp_path: Path) -> Non
     assert checkpoint.provenance["description"] == "a test" and checkpoint.provenance["steps"] == 6
     assert checkpoint.provenance["config"]["model"]["latent_size"] == 8
     assert len(checkpoint.provenance["manifest_sha256"]) == 64
+    cost = checkpoint.provenance["cost"]
+    assert cost["data_seconds"] > 0 and cost["train_seconds"] > 0 and cost["num_threads"] >= 1
     losses = [float(row["loss"]) for row in rows(tmp_path) if row["loss"]]
     errors = [float(row["valid/position_error"]) for row in rows(tmp_path) if row.get("valid/position_error")]
     assert len(losses) >= 3 and all(math.isfinite(value) for value in losses)

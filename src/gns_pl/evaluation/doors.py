@@ -40,15 +40,13 @@ def default_folder(wanted: str | Sequence[str], checkpoints: Mapping[str, Path])
     return (Path("runs") / name if path != Path(text) else path.parent) / "evaluation"
 
 
-def check_figures() -> None:
-    """Raise an `InputError` if the packages that draw are missing."""
+def check_figures(without: str = ", or go without: evaluation.figures=false") -> None:
+    """Raise an `InputError` if the packages that draw are missing; it ends with how to do without."""
     from gns_pl.viz import missing_packages
 
     missing = missing_packages()
     if missing:
-        raise InputError(
-            f"figures need {' and '.join(missing)}: pip install 'gns_pl[viz]', or go without: evaluation.figures=false"
-        )
+        raise InputError(f"figures need {' and '.join(missing)}: pip install 'gns_pl[viz]'{without}")
 
 
 def check_space(*, film: bool) -> None:

@@ -1,9 +1,11 @@
-"""An evaluation as a W&B run, offline unless asked otherwise: no account is ever needed."""
+"""An evaluation, or a chart, as a W&B run, offline unless asked otherwise: no account is ever needed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,10 +35,8 @@ def log_evaluation(
     """
     import wandb
 
-    run = _started(out, config=document["checkpoint"], offline=offline, project=project)
-    try:
-        folder = Path(run.dir).parent
-        media = _images(files)
+    with started("evaluation", dict(document["checkpoint"]), out=out, offline=offline, project=project) as run:
+        media: dict[str, Any] = {file.stem: wandb.Image(str(file)) for file in files if file.suffix == ".png"}
         media |= {f"animation_{file.stem}": wandb.Video(str(file)) for file in files if file.suffix in (".gif", ".mp4")}
         run.log(media | {"metrics": _table(wandb, document)})
         for name, scene in document["scenes"].items():
@@ -48,45 +48,94 @@ def log_evaluation(
             run.summary.update(
                 {f"{name}/familiarity/{key}": value for key, value in (scene["familiarity"] or {}).items()}
             )
-    finally:
-        wandb.finish()
-    return folder
+        return Path(run.dir).parent
+
+
+def log_chart(
+    points: Sequence[Any], figure: Path, caption: str, *, command: str, out: Path, offline: bool, project: str
+) -> Path:
+    """Log a chart of speed against accuracy: figure, table of points, and time and error of each in the summary.
+
+    Args:
+        points: `chart.points.Point`.
+        figure: PNG.
+        caption: of the figure.
+        command: by which it was measured.
+        out: as of `log_evaluation`, like the next two.
+        offline: likewise.
+        project: likewise.
+
+    Returns:
+        Folder of the run.
+
+    Raises:
+        InputError: W&B refuses to start.
+    """
+    import wandb
+
+    with started("benchmark", {"command": command}, out=out, offline=offline, project=project) as run:
+        names = [each.name for each in fields(points[0])]
+        table = wandb.Table(columns=names, data=[[_finite(getattr(each, name)) for name in names] for each in points])
+        run.log({"chart": wandb.Image(str(figure), caption=caption), "points": table})
+        for each in points:
+            run.summary.update({f"{each.name}/{key}": _finite(getattr(each, key)) for key in ("seconds", "error")})
+        return Path(run.dir).parent
 
 
 def log_stress(rows: Sequence[Row], files: Sequence[Path], *, out: Path, offline: bool, project: str) -> Path:
-    """Log the rows of the stress suite and its figure; arguments and errors as `log_evaluation`.
+    """Log the rows of the stress suite and its figure; the rest as `log_evaluation`.
 
     Args:
         rows: what became of the scenes.
         files: what was made; PNG files are logged.
-        out: as there.
-        offline: as there.
-        project: as there.
+        out: as there, like the next two.
+        offline: likewise.
+        project: likewise.
+
+    Returns:
+        Folder of the run.
+
+    Raises:
+        InputError: W&B refuses to start.
     """
     import wandb
 
-    run = _started(out, config={"models": sorted({row.model for row in rows})}, offline=offline, project=project)
-    try:
-        folder = Path(run.dir).parent
+    models = list(dict.fromkeys(row.model for row in rows))
+    with started("stress", {"models": models}, out=out, offline=offline, project=project) as run:
         table = wandb.Table(columns=list(asdict(rows[0])), data=[list(asdict(row).values()) for row in rows])
-        run.log(_images(files) | {"stress": table})
-        for model in dict.fromkeys(row.model for row in rows):
+        media = {file.stem: wandb.Image(str(file)) for file in files if file.suffix == ".png"}
+        run.log(media | {"table": table})
+        for model in models:
             failed = [row for row in rows if row.model == model and row.kind]
-            run.summary.update(
-                {f"{model}/failed": len(failed), f"{model}/failed_inside": sum(r.inside for r in failed)}
-            )
-    finally:
-        wandb.finish()
-    return folder
+            inside = sum(row.inside for row in failed)
+            run.summary.update({f"{model}/failed": len(failed), f"{model}/failed_inside": inside})
+        return Path(run.dir).parent
 
 
-def _started(out: Path, *, config: Mapping[str, Any], offline: bool, project: str) -> Any:
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextmanager
+def started(job_type: str, config: Mapping[str, Any], *, out: Path, offline: bool, project: str) -> Iterator[Any]:
+    """Give a W&B run, and close it whatever happens.
+
+    Args:
+        job_type: of the run.
+        config: of the run.
+        out: folder under which W&B puts its own folder.
+        offline: keep the run on this disk.
+        project: W&B project.
+
+    Raises:
+        InputError: W&B refuses to start, as it does online without an account. The results are on disk by then.
+    """
     import wandb
 
     try:
-        return wandb.init(
+        run = wandb.init(
             project=project,
-            job_type="evaluation",
+            job_type=job_type,
             dir=str(out),
             mode="offline" if offline else "online",
             config=dict(config),
@@ -96,12 +145,10 @@ def _started(out: Path, *, config: Mapping[str, Any], offline: bool, project: st
         raise InputError(
             f"W&B could not start ({error}); the results are in {out}, and logger.offline=true needs no account."
         ) from error
-
-
-def _images(files: Sequence[Path]) -> dict[str, Any]:
-    import wandb
-
-    return {file.stem: wandb.Image(str(file)) for file in files if file.suffix == ".png"}
+    try:
+        yield run
+    finally:
+        wandb.finish()
 
 
 def _table(wandb: Any, document: Mapping[str, Any]) -> Any:

@@ -116,6 +116,22 @@ def append_timing(folder: Path, file_name: str, wall_seconds: float) -> None:
         raise StorageError(f"{path}: cannot be written ({error.strerror}).") from error
 
 
+def read_timings(folder: Path) -> float | None:
+    """Return the solver's time for all trajectories of a data set [s], each on one core or its share of a GPU.
+
+    Args:
+        folder: of the set, or of one of its stored lattices; one that was copied without its timings gives None.
+    """
+    path = next((each / TIMINGS_NAME for each in (folder, folder.parent) if (each / TIMINGS_NAME).is_file()), None)
+    if path is None:
+        return None
+    try:
+        rows = [line.rsplit(",", 1) for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+        return sum({name: float(seconds) for name, seconds in rows}.values())  # of a file made again, the last time
+    except (OSError, ValueError):
+        return None
+
+
 def write_failures(folder: Path, failures: Mapping[str, Failure]) -> None:
     """Write the failures of this run with their tracebacks, or remove those of an earlier run."""
     path = folder / FAILURES_NAME

@@ -20,6 +20,13 @@ from gns_pl.rollout.ways import MPMWay, Way, characteristic_size
 from gns_pl.scene import Scene
 
 
+def way_name(path: str | Path) -> str:
+    """Return what the way of a file is called: its name, or that of its folder if the file is any training's last."""
+    path = Path(path)
+    every = path.stem in ("last", "best") or path.stem.startswith("step")
+    return path.absolute().parent.name if every else path.stem
+
+
 def make_ways(
     learned: Sequence[str],
     corrected: Sequence[str],
@@ -49,11 +56,11 @@ def make_ways(
         if not find_checkpoint(name).is_file():
             raise InputError(f"choice.learned: there is no checkpoint {name}.")
     for name in learned:
-        ways.append(LearnedWay(Path(name).stem, name, rest_speed, kept))
+        ways.append(LearnedWay(way_name(name), name, rest_speed, kept))
     for name in corrected:
         if not find_corrector(name).is_file():
             raise InputError(f"choice.corrected: there is no corrector {name}.")
-        ways.append(CorrectedWay(Path(name).stem, name))
+        ways.append(CorrectedWay(way_name(name), name))
     for name, each in handed.items():
         keys = {"learned", "first", "until", "finer"}
         if set(each) != keys:

@@ -1,7 +1,8 @@
 """Which way a scene is run: the cheapest that was measured to be accurate enough, the material point method among them.
 
-What a way is worth is a table of measured runs (`benchmarks/reductions.py` writes it): errors against a fine run, and
-time. Errors carry over to scenes of the same kind, in plane strain or not; times by the work that a run is.
+What a way is worth is a table of measured runs (`benchmark.py` and `benchmarks/reductions.py` write it): errors against
+a fine run, and time. Errors carry over to scenes of the same kind, in plane strain or not; times by the work that a run
+is.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ def read_records(path: Path) -> list[Record]:
         types = {"int": int, "float": float, "str": str}
         return [Record(**{each.name: types[str(each.type)](row[each.name]) for each in fields(Record)}) for row in rows]
     except (OSError, KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: is no table of benchmarks/reductions.py ({error}).") from error
+        raise InputError(f"{path}: is no table of records, as benchmark.py writes ({error}).") from error
 
 
 def weigh(scene: Scene, ways: Sequence[Way], records: Sequence[Record]) -> list[Option]:
@@ -137,7 +138,10 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
         raise InputError(f"tolerance must be positive, as 0.05 for 5 % of the runout, not {tolerance}.")
     trusted = [each for each in options if each.reason is None and each.error is not None and each.seconds is not None]
     if not trusted:
-        raise InputError("no way was measured on scenes of this kind; run benchmarks/reductions.py, or name a ckpt.")
+        raise InputError(
+            "no way was measured on scenes of this kind; measure it (python benchmark.py) and name the table that this "
+            "makes (choice.records=), or name a ckpt."
+        )
     learned = [each for each in options if isinstance(each.way, FittedWay)]
     beyond = ""
     if learned and all(each.reason is not None for each in learned):

@@ -7,6 +7,7 @@ is and gets no messages; what is awake still feels it. It wakes when a neighbour
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import cast
 
 import torch
@@ -64,6 +65,8 @@ class SleepingStep:
         halo: how far around what is awake messages are still passed, in connectivity radii. As many as the network has
             message-passing steps, and what is awake moves as if the sleeping ones got their messages too; fewer are
             cheaper.
+        step: what makes the simulator's steps in its place. Nobody looks into it, so it passes all messages, as a
+            network does that has one message for both ends of a pair.
 
     Whether somebody sleeps depends on the latest positions alone, so that a run that goes on later goes on as it was.
 
@@ -73,12 +76,22 @@ class SleepingStep:
             and nobody sleeps then.
     """
 
-    def __init__(self, simulator: Simulator, speed: float, halo: int = 1) -> None:
+    def __init__(
+        self,
+        simulator: Simulator,
+        speed: float,
+        halo: int = 1,
+        step: Callable[[Tensor, Static], Tensor] | None = None,
+    ) -> None:
         self.simulator = copy.copy(simulator)
-        self.simulator._modules = dict(simulator._modules)
-        self.simulator._modules["network"] = _Awake(simulator.network, self)
-        self._search = simulator.search
-        self.simulator.search = self._find
+        self._step, self._search = step, simulator.search
+        if step is None and "forward" in vars(simulator):
+            self._step = simulator
+        if self._step is None:
+            self.simulator.search = self._find
+            if simulator.config.output != "pairs":
+                self.simulator._modules = dict(simulator._modules)
+                self.simulator._modules["network"] = _Awake(simulator.network, self)
         self.speed, self.halo = speed, halo
         self.awake = self.reached = torch.empty(0, dtype=torch.bool)
         self.history_length = max(simulator.config.input_sequence_length, STEPS + 1)
@@ -89,7 +102,12 @@ class SleepingStep:
         step, config = self.speed * self.simulator.config.dt, self.simulator.config
         slow = history[:, -STEPS - 1 :].diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
         self._moving = ~slow.all(dim=1) if history.shape[1] > STEPS else torch.ones_like(slow[:, 0])
-        position = self.simulator(history[:, -config.input_sequence_length :], static)
+        recent = history[:, -config.input_sequence_length :]
+        if self._step is None:
+            position = self.simulator(recent, static)
+        else:
+            self._find(recent[:, -1], config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
+            position = self._step(recent, static)
         return torch.where(self.awake[:, None], position, history[:, -1])
 
     def _find(self, *arguments: object, **settings: object) -> Tensor:

@@ -45,10 +45,10 @@ def stabilise(
         passive: a step that raises the energy of motion and height has its velocities scaled down, all of a scene's by
             one factor, until it does not.
         largest_force: a − g of a particle is shortened to so many of the simulator's `acceleration_scale`; 0: as it is.
-        step: what makes the simulator's steps in its place, as several processes do; nobody sleeps then.
+        step: what makes the simulator's steps in its place, as several processes do.
 
     Raises:
-        InputError: a negative limit, distances that no filling keeps, or sleep where nobody can look into a step.
+        InputError: a negative limit, or distances that no filling keeps.
     """
     if not largest_force >= 0:
         raise InputError(f"stabilise.largest_force must be 0 or more acceleration scales, not {largest_force}.")
@@ -56,14 +56,8 @@ def stabilise(
         raise InputError(f"stabilise.least_distance must lie in [0, 1) spacings, not {least_distance}.")
     if not sleep >= 0:
         raise InputError(f"stabilise.sleep must be a speed of 0 or more, not {sleep}.")
-    if sleep and step is None:
-        if simulator.config.output == "pairs":
-            raise InputError("output=pairs has one message for both ends, of which none can sleep: stabilise.sleep=0")
-        if "forward" in vars(simulator):
-            raise InputError(
-                "acceleration.captured makes a step at once, and nobody can sleep in it: stabilise.sleep=0"
-            )
-        step = SleepingStep(simulator, sleep)
+    if sleep:
+        step = SleepingStep(simulator, sleep, step=step)
     if step is None and not (largest_force or least_distance or passive):
         return simulator
     stable = copy.copy(simulator)

@@ -55,12 +55,14 @@ class MPMWay:
         cells: over √(L0 H0).
         settings: of the solver but for the cells, as in conf/data/.
         reduces: take slices and halves where they hold.
+        device: "cpu" or "cuda".
     """
 
     name: str
     cells: float
     settings: Mapping[str, Any]
     reduces: bool = True
+    device: str = "cpu"
 
     def why_not(self, scene: Scene) -> str | None:
         """Return None: it knows every scene."""
@@ -93,5 +95,7 @@ class MPMWay:
         """Return the trajectory; arguments as those of `Way`."""
         less, settings = self.reduced(scene), self.settings_of(scene)
         threads = solver.num_threads_alone(less.scene, settings)
-        made = solver.run_solver(less.scene, settings, frame_interval=interval, seed=seed, num_threads=threads)
+        made = solver.run_solver(
+            less.scene, settings, frame_interval=interval, seed=seed, device=self.device, num_threads=threads
+        )
         return less.lift(made)

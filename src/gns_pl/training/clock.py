@@ -1,25 +1,28 @@
-"""How long a training takes: its wall time over all starts, and the time of a step."""
+"""How long a training takes: its wall time over all starts, and the time of a step; and what it cost in all."""
 
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any, cast
 
+import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 
+from gns_pl.generation.records import read_timings
+from gns_pl.machine import machine_name
 
-class Clock(Callback):
-    """Logs `hours` beside the loss and every validation, and `step_seconds`, the mean since, with `windows_per_s`.
 
-    The time goes into checkpoints, so that a resumed run's hours go on where its checkpoint was written. What a killed
-    start did after its last checkpoint is lost, and its time is not counted either. `step_seconds` leaves validations
-    out; a median over them leaves the writing of checkpoints out, too.
+class Stopwatch(Callback):
+    """Measures the wall time of a fit over all its starts.
+
+    The time goes into checkpoints, so that a resumed run's goes on where its checkpoint was written. What a killed
+    start did after its last checkpoint is lost, and its time is not counted either.
     """
 
     def __init__(self) -> None:
         self._before = 0.0
         self._began: float | None = None
-        self._mark = (0.0, 0)
 
     @property
     def seconds(self) -> float:
@@ -37,7 +40,22 @@ class Clock(Callback):
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Start."""
         self._began = time.perf_counter()
-        self._mark = (self._began, trainer.global_step)
+
+
+class Clock(Stopwatch):
+    """Logs `hours` beside the loss and every validation, and `step_seconds`, the mean since, with `windows_per_s`.
+
+    `step_seconds` leaves validations out; a median over them leaves the writing of checkpoints out, too.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._mark = (0.0, 0)
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Start."""
+        super().on_train_start(trainer, pl_module)
+        self._mark = (time.perf_counter(), trainer.global_step)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
@@ -62,3 +80,22 @@ class Clock(Callback):
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Leave the validation out of the time of a step."""
         self._mark = (time.perf_counter(), trainer.global_step)
+
+
+def cost_of(directory: Path, train_seconds: float | None = None) -> dict[str, Any]:
+    """Return what a training costs, as checkpoints keep it in their provenance.
+
+    Args:
+        directory: of the data.
+        train_seconds: wall time of the fit [s]; None if it is not known, or not yet.
+
+    Returns:
+        data_seconds, the solver's time for all trajectories, one after the other [s], None if the folder does not say;
+        train_seconds; machine and num_threads of the training.
+    """
+    return {
+        "data_seconds": read_timings(directory),
+        "train_seconds": train_seconds,
+        "machine": machine_name(),
+        "num_threads": torch.get_num_threads(),
+    }

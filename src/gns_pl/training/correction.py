@@ -34,6 +34,7 @@ from gns_pl.mpm import SimulationError
 from gns_pl.rollout import static_of
 from gns_pl.rollout.correction import corrected_run, followed_run
 from gns_pl.scene import fill_scene
+from gns_pl.training.clock import Stopwatch, cost_of
 from gns_pl.training.train import quieten
 from gns_pl.trajectory import Trajectory, start_trajectory
 
@@ -288,11 +289,12 @@ def _fit(settings: Mapping[str, Any], output: Path) -> Path:
     kept: dict[str, Any] = {"save_on_train_epoch_end": True, "enable_version_counter": False}
     best = ModelCheckpoint(output, filename="best", monitor="valid/runout_error", **kept)
     latest = ModelCheckpoint(output, filename="last", **kept)
+    clock = Stopwatch()
     trainer = lightning.Trainer(
         accelerator="cpu",
         devices=1,
         max_steps=number,
-        callbacks=[best, latest],
+        callbacks=[best, latest, clock],
         reload_dataloaders_every_n_epochs=1,
         logger=CSVLogger(output, name=None, version="csv"),
         gradient_clip_val=1.0,
@@ -318,6 +320,7 @@ def _fit(settings: Mapping[str, Any], output: Path) -> Path:
         "steps": int(state["global_step"]),
         "dataset_sha256": manifest_sha256(directory),
         "description": settings["description"],
+        "cost": cost_of(directory, clock.seconds),
     }
     path = output / f"{settings['name']}.corrector"
     save_corrector(path, CorrectorFile(corrector.eval(), dict(settings["data"]), provenance))

@@ -16,6 +16,7 @@ from gns_pl.evaluation.metrics import rollout_errors
 from gns_pl.graph import Draws, Seen, Static
 from gns_pl.rollout import rollout
 from gns_pl.simulator import Simulator, SimulatorConfig
+from gns_pl.training.clock import Stopwatch
 from gns_pl.training.distillation import Elder
 from gns_pl.training.optimiser import MuonAndAdamW
 from gns_pl.training.perturbation import Perturbation
@@ -184,6 +185,9 @@ class SimulatorModule(LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what `gns_pl.checkpoint` reads."""
         provenance = {**self.provenance, "steps": self.global_step}
+        clocks = [each for each in self.trainer.callbacks if isinstance(each, Stopwatch)]  # type: ignore[attr-defined]
+        if "cost" in provenance and clocks:
+            provenance["cost"] = {**provenance["cost"], "train_seconds": clocks[0].seconds}
         checkpoint[KEY] = checkpoint_entry(self.simulator.config, self.data, provenance, self.seen)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:

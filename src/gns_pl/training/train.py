@@ -30,6 +30,7 @@ from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.simulator import SimulatorConfig
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
 from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
+from gns_pl.training.clock import cost_of
 from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
@@ -319,4 +320,5 @@ def provenance(settings: Mapping[str, Any], directory: Path) -> dict[str, Any]:
         "commit": commit,
         "config": dict(settings),
         "manifest_sha256": manifest_sha256(directory),
+        "cost": cost_of(directory),
     }

@@ -7,6 +7,7 @@ draw. ParaView series need none of them.
 from importlib.util import find_spec
 
 from gns_pl.viz.animation import write_animation
+from gns_pl.viz.chart import Mark, plot_chart
 from gns_pl.viz.familiarity import plot_familiarity
 from gns_pl.viz.laws import plot_laws
 from gns_pl.viz.learning_curve import plot_learning_curve
@@ -18,9 +19,11 @@ from gns_pl.viz.survival import plot_survival
 from gns_pl.viz.sweep import SweepPoint, plot_sweep
 
 __all__ = [
+    "Mark",
     "SweepPoint",
     "interactive",
     "missing_packages",
+    "plot_chart",
     "plot_curves",
     "plot_evolution",
     "plot_familiarity",

@@ -1,0 +1,82 @@
+"""What a trained way cost before it ran its first scene: the data it learned from, and the training.
+
+New checkpoints carry it in their provenance; earlier ones of the trainer know their own wall time; what comes with the
+package stands in `pretrained/costs.csv`, made before checkpoints knew. What nobody knows can be told (`costs=`).
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from gns_pl.errors import InputError
+from gns_pl.evaluation.chart.entries import Entry, path_of
+from gns_pl.evaluation.chart.plan import Cost
+from gns_pl.pretrained import FOLDER
+from gns_pl.rollout.fitted import CorrectedWay, LearnedWay
+
+KEYS = ("data_seconds", "train_seconds")
+
+
+def shipped_seconds(what: str, name: str) -> float | None:
+    """Return a time of the package's own table [s]; None if it is not there.
+
+    Args:
+        what: "data" or "training".
+        name: of the data set, or of the model.
+    """
+    with (FOLDER / "costs.csv").open(newline="", encoding="utf-8") as file:
+        found = [float(row["seconds"]) for row in csv.DictReader(file) if (row["what"], row["name"]) == (what, name)]
+    return found[0] if found else None
+
+
+def cost_of_entry(entry: Entry, told: Mapping[str, Any]) -> Cost:
+    """Return what a trained way cost.
+
+    Args:
+        entry: of a trained group.
+        told: name of an entry → {data_seconds, train_seconds}, either or both; what is told counts.
+
+    Raises:
+        InputError: other keys, or times that are no numbers.
+    """
+    given = told.get(entry.name) or {}
+    if set(given) - set(KEYS) or not all(isinstance(each, int | float) and each >= 0 for each in given.values()):
+        raise InputError(f"costs.{entry.name}: takes {' and '.join(KEYS)}, numbers of seconds, not {given}.")
+    path, way = path_of(entry), entry.way
+    if path is None or not isinstance(way, LearnedWay | CorrectedWay):
+        return Cost(math.nan, math.nan, "nothing was trained")
+    file = way.checkpoint if isinstance(way, LearnedWay) else way.file
+    known: dict[str, Any] = dict(file.provenance.get("cost") or {})
+    shipped = path.parent == FOLDER
+    found = {
+        "data_seconds": (
+            ("told", given.get("data_seconds")),
+            ("provenance", known.get("data_seconds")),
+            ("costs.csv", shipped_seconds("data", str(file.data.get("name")))),
+        ),
+        "train_seconds": (
+            ("told", given.get("train_seconds")),
+            ("provenance", known.get("train_seconds")),
+            ("the trainer's clock", _clock_seconds(entry)),
+            ("costs.csv", shipped_seconds("training", path.stem) if shipped else None),
+        ),
+    }
+    values, sources = [], []
+    for key, places in found.items():
+        source, value = next(((s, v) for s, v in places if v is not None), ("unknown", math.nan))
+        values.append(float(value))
+        sources.append(f"{key.removesuffix('_seconds').replace('train', 'training')}: {source}")
+    return Cost(values[0], values[1], "; ".join(sources))
+
+
+def _clock_seconds(entry: Entry) -> float | None:
+    """Return the wall time that the trainer's own checkpoints hold [s]."""
+    if not isinstance(entry.way, LearnedWay):
+        return None
+    from gns_pl.checkpoint import read_content
+
+    clock = (read_content(entry.way.path).get("callbacks") or {}).get("Clock") or {}
+    return float(clock["seconds"]) if "seconds" in clock else None

@@ -1,0 +1,64 @@
+"""From the tables and the plan of a folder to figure, page and table of points. Nothing is measured here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gns_pl.errors import InputError
+from gns_pl.evaluation import tracking
+from gns_pl.evaluation.chart.plan import Plan
+from gns_pl.evaluation.chart.points import Point, points_of, rows_by_name
+from gns_pl.evaluation.chart.rows import Tables, rendered
+from gns_pl.evaluation.chart.verdicts import verdicts
+from gns_pl.evaluation.chart.words import caption, page, scenes_of, threads_of
+from gns_pl.io.atomic import write_atomically
+from gns_pl.viz import Mark, plot_chart
+
+PAGE, POINTS, FIGURES = "chart.md", "chart.csv", ("chart.png", "chart.svg")
+
+
+def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | None) -> list[Path]:
+    """Write figure, page and table of points, print the caption, and log all to W&B if asked.
+
+    Args:
+        plan: of the chart.
+        tables: that hold its rows.
+        out: folder.
+        logger: {offline, project} of W&B; None logs nothing.
+
+    Returns:
+        The files made.
+
+    Raises:
+        InputError: the tables hold no run of the chart.
+    """
+    rows, batches = rows_by_name(plan, tables.runs), plan.batches(tables.batches)
+    if not rows:
+        raise InputError(f"{tables.runs.path}: holds no run of the chart; leave out from_table=true.")
+    points = points_of(plan, tables.runs)
+    found = verdicts(points, plan.ratios(tables.ratios))
+    under = caption(found, points, plan.band)
+    marks = [
+        Mark(
+            name=each.name, group=each.group, seconds=each.seconds, low=each.seconds_low, high=each.seconds_high,
+            error=each.error, label=each.name, whole=each.name.endswith("_whole"), on_front=each.on_front,
+            spent=each.data_seconds + each.train_seconds, pays=scenes_of(each),
+        )
+        for each in points
+    ]  # fmt: skip
+    rates: dict[str, tuple[str, list[tuple[int, float]]]] = {}
+    for row in batches:
+        rates.setdefault(row.name, (row.group, []))[1].append((row.batch, row.scenes_per_second))
+    where = "; ".join(f"{place.machine}, {threads_of(place)} a run" for place in plan.places.values())
+    title = f"{', '.join(each.name for each in plan.scenes)}: {where}"
+    figures = [out / name for name in FIGURES]
+    plot_chart(marks, rates, band=plan.band, title=title, caption=under, paths=figures)
+    write_atomically(out / PAGE, page(plan, points, found, rows, batches, under).encode())
+    write_atomically(out / POINTS, rendered(Point, points).encode())
+    print(f"\n{under}\n")
+    made = [out / PAGE, out / POINTS, *figures]
+    if logger is not None:
+        made.append(tracking.log_chart(points, figures[0], under, command=plan.command, out=out, **logger))
+    return made

@@ -1,0 +1,199 @@
+"""All measuring of a chart: reference, law, runs, ratios, batches, into the tables and the plan of a folder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gns_pl.checkpoint import move
+from gns_pl.errors import InputError
+from gns_pl.evaluation.chart import speed
+from gns_pl.evaluation.chart.baselines import FittedLaw
+from gns_pl.evaluation.chart.batches import can_batch, measure_batches
+from gns_pl.evaluation.chart.converged import converged
+from gns_pl.evaluation.chart.costs import cost_of_entry
+from gns_pl.evaluation.chart.entries import Entry, make_entries
+from gns_pl.evaluation.chart.plan import LEARNED, EntryFacts, Plan, write_plan
+from gns_pl.evaluation.chart.points import points_of
+from gns_pl.evaluation.chart.rows import Tables
+from gns_pl.evaluation.chart.verdicts import verdicts
+from gns_pl.evaluation.curves import compute_curves
+from gns_pl.evaluation.report import run
+from gns_pl.evaluation.scenes import build_scenes
+from gns_pl.generation import reference_trajectory
+from gns_pl.generation.pool import available_cores
+from gns_pl.generation.solver import choose_device
+from gns_pl.rollout.choice import kind_of
+from gns_pl.rollout.fitted import LearnedWay
+from gns_pl.rollout.reduction import reduce_scene
+from gns_pl.scene import Scene
+
+
+def measure(
+    scenes: Sequence[Scene],
+    tables: Tables,
+    plan_path: Path,
+    *,
+    ckpt: Sequence[str],
+    choice: Mapping[str, Any],
+    cache: Path,
+    frame_interval: float,
+    placements: int,
+    threads: int | None,
+    device: str,
+    reference: Mapping[str, Any],
+    variants: Mapping[str, Any],
+    extrapolate: Mapping[str, Any],
+    trivial: Mapping[str, Any],
+    stabilise: Mapping[str, Any],
+    law: Mapping[str, Any],
+    batches: Mapping[str, Any],
+    ratios: Mapping[str, Any],
+    costs: Mapping[str, Any],
+) -> None:
+    """Measure what the tables lack.
+
+    Args:
+        scenes: on which all settings are run; all in plane strain, or none.
+        tables: filled, row by row.
+        plan_path: where the plan is written, once it is known what there is to measure.
+        ckpt: checkpoints besides those of the choice.
+        choice: the ways of `simulate.py` (conf/choice).
+        cache: folder of reference runs.
+        frame_interval: time between frames [s].
+        placements: of each setting and scene, one timed run each.
+        threads: of a run; None for all cores.
+        device: "auto", "cpu" or "cuda".
+        reference: {plane, space: {cells_per_metre, placements}, order}, as `converged.converged`.
+        variants: of MPM, as `entries.solver_ways`.
+        extrapolate: {pairs of cells, order}.
+        trivial: {cells} whose particles the trivial baselines have.
+        stabilise: arguments of `rollout.stabilise.stabilise`, for learned runs.
+        law: as `fit_law`.
+        batches: {sizes, turns}; no sizes, no throughput.
+        ratios: {turns} of trained ways and MPM; 0 for none.
+        costs: name → {data_seconds, train_seconds} that checkpoints do not know.
+
+    Raises:
+        InputError: settings that cannot be used.
+    """
+    kinds = {kind_of(scene) for scene in scenes}
+    if len(kinds) > 1:
+        raise InputError("some scenes are in plane strain and some are not: chart them apart, with another out=.")
+    [kind] = kinds
+    if set(reference.get(kind) or {}) != {"cells_per_metre", "placements"}:
+        raise InputError(f"reference.{kind}: needs cells_per_metre and placements.")
+    pairs = tuple((float(coarse), float(fine)) for coarse, fine in extrapolate["pairs"])
+    if any(not fine > coarse > 0 for coarse, fine in pairs):
+        raise InputError(f"extrapolate.pairs: each is two numbers of cells, the coarser first, not {list(pairs)}.")
+    on = learned_device(device)
+    solver_on = choose_device("auto") if on == "cuda" else "cpu"
+    entries, left_out = runnable(
+        make_entries(ckpt, choice, variants, float(trivial["cells"]), stabilise, on, solver_on), scenes
+    )
+    spent = {entry.name: cost_of_entry(entry, costs) for entry in entries if entry.group in LEARNED}
+    with speed.on_threads(threads or available_cores()) as number:
+        places = {each: speed.place_of(each, number) for each in sorted({entry.device for entry in entries})}
+        judged = []
+        for scene in scenes:
+            say(f"{scene.name}: the reference, where it is not kept from before …")
+            fine = converged(
+                scene,
+                mpm=choice["mpm"],
+                order=float(reference["order"]),
+                interval=frame_interval,
+                cache=cache,
+                **reference[kind],
+            )
+            say(f"  {fine.runout[-1]:.4f} L0, within {100 * fine.uncertainty:.1f} %, {fine.seconds:.1f} s a run")
+            judged.append(fine)
+        fitted, law_seconds = fit_law(law, choice["mpm"], frame_interval, cache)
+        plan = Plan(
+            command=f"python {run()['command']}",
+            scenes=tuple(each.facts for each in judged),
+            together=speed.judged_together(judged),
+            entries=tuple(EntryFacts(e.name, e.group, e.identity, e.device, e.for_choice) for e in entries),
+            left_out=left_out,
+            places=places,
+            placements=placements,
+            pairs=pairs,
+            order=float(extrapolate["order"]),
+            law=fitted.coefficients,
+            law_seconds=law_seconds,
+            costs=spent,
+        )
+        write_plan(plan_path, plan)
+        for name, why in left_out.items():
+            say(f"{name} is not on the chart: {why}")
+        speed.measure_runs(entries, judged, tables.runs, places, placements=placements, say=say)
+        if ratios["turns"]:
+            named = {entry.name: entry for entry in entries}
+            found = verdicts(points_of(plan, tables.runs), plan.ratios(tables.ratios))
+            wanted_pairs = [(named[each.own.name], named[name]) for each in found for name in each.others()]
+            speed.measure_ratios(wanted_pairs, judged, tables.ratios, places, turns=int(ratios["turns"]), say=say)
+        if batches["sizes"]:
+            together = [entry for entry in entries if can_batch(entry)]
+            sizes, turns = list(batches["sizes"]), int(batches["turns"])
+            measure_batches(together, judged, tables.batches, places, sizes=sizes, turns=turns, say=say)
+
+
+def say(text: str) -> None:
+    """Print a line at once."""
+    print(text, flush=True)
+
+
+def learned_device(device: str) -> str:
+    """Return "cpu" or "cuda": that of learned simulators.
+
+    Raises:
+        InputError: another device, or a GPU that is not there.
+    """
+    import torch
+
+    if device not in ("auto", "cpu", "cuda"):
+        raise InputError(f"device must be auto, cpu or cuda, not {device!r}.")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("device=cuda: torch finds no GPU here; choose device=cpu, or auto.")
+    return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
+
+
+def runnable(entries: Sequence[Entry], scenes: Sequence[Scene]) -> tuple[list[Entry], dict[str, str]]:
+    """Return the settings that can run all scenes, their simulators on their devices, and why the others cannot."""
+    kept, left_out = [], {}
+    for entry in entries:
+        reason = next((why for scene in scenes if (why := entry.way.why_not(scene)) is not None), None)
+        if entry.whole and scenes[0].dim == 2:
+            reason = "the scene has two dimensions"
+        if reason is not None:
+            left_out[entry.name] = reason
+            continue
+        if type(entry.way) is LearnedWay:
+            move(entry.way.checkpoint, entry.device, "device")
+        kept.append(entry)
+    return kept, left_out
+
+
+def fit_law(law: Mapping[str, Any], mpm: Mapping[str, Any], interval: float, cache: Path) -> tuple[FittedLaw, float]:
+    """Return a law fitted to MPM's columns of other aspect ratios than the test's, and the time of these runs [s].
+
+    Args:
+        law: {aspect_ratios, size, cells, domain, data}: H0/L0, √(L0 H0) [m], cells over it, box [m], sand and walls.
+        mpm: settings of the solver but for the cells.
+        interval: time between frames [s].
+        cache: folder of reference runs.
+    """
+    size, found, spent = float(law["size"]), {}, 0.0
+    ratios = [float(each) for each in law["aspect_ratios"]]
+    columns = {f"law_{a:g}": {"length": size / math.sqrt(a), "height": size * math.sqrt(a)} for a in ratios}
+    scenes = build_scenes(
+        columns, None, only=None, domain=law["domain"], duration=6.0, interval=interval, data=law["data"]
+    )
+    settings = {**mpm, "cell_size": size / float(law["cells"])}
+    for ratio, scene in zip(ratios, scenes.values(), strict=True):
+        reduced = reduce_scene(scene).scene
+        made = reference_trajectory(reduced, settings, frame_interval=interval, seed=0, cache_directory=cache)
+        found[ratio] = float(compute_curves(made)["runout_99"][-1])
+        spent += float(made.provenance["wall_seconds"])  # type: ignore[arg-type]
+    return FittedLaw.to_runs(found), spent

@@ -1,0 +1,242 @@
+"""From rows to points: every setting's time and errors over all scenes and placements, and what it compares with."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gns_pl.evaluation.chart.baselines import FittedLaw, extrapolate
+from gns_pl.evaluation.chart.front import Spot, break_even, pareto_front, seconds_of_error
+from gns_pl.evaluation.chart.plan import LEARNED, Cost, Plan, SceneFacts
+from gns_pl.evaluation.chart.rows import Place, RunRow, Table
+from gns_pl.evaluation.laws import LAWS
+
+
+@dataclass(frozen=True)
+class Point:
+    """A setting on the chart.
+
+    Attributes:
+        name: of the setting.
+        group: as of a run; besides "law" and "extrapolated", which give the runout alone.
+        seconds: wall time of a scene [s]: median over the placements, mean over the scenes.
+        seconds_low: the same of the fastest placement.
+        seconds_high: of the slowest.
+        error: root mean square of the final 99 % runout's relative error over scenes and placements.
+        largest_error: of these, signed.
+        bias: their mean.
+        height_error: root mean square of the final mean height's.
+        profile_error: mean area between the final profiles over the deposit's.
+        curve_error: mean over time, scenes and placements of the 99 % runout's error, over the final runout.
+        runs: that went in.
+        failed: how many of them did not reach the end.
+        dim: of what was run; 0 where nothing was.
+        particles: of the largest scene.
+        dtype: of the arithmetic.
+        device: "cpu" or "cuda".
+        machine: on which it was measured.
+        threads: that a run might use.
+        versions: of packages.
+        data_seconds: spent before on data [s]; NaN where nobody knows, 0 where nothing was.
+        train_seconds: on training, likewise.
+        equal_seconds: what MPM takes for the same error (`front.seconds_of_error`) [s].
+        break_even: scenes after which it paid; infinite: never.
+        first_seconds: median of the first, untimed runs, what was compiled in them included.
+        file_seconds: median time to write the frames to a file.
+        on_front: no setting that gives a flow beats it.
+    """
+
+    name: str
+    group: str
+    seconds: float
+    seconds_low: float
+    seconds_high: float
+    error: float
+    largest_error: float
+    bias: float
+    height_error: float
+    profile_error: float
+    curve_error: float
+    runs: int
+    failed: int
+    dim: int
+    particles: int
+    dtype: str
+    device: str
+    machine: str
+    threads: int
+    versions: str
+    data_seconds: float = 0.0
+    train_seconds: float = 0.0
+    equal_seconds: float = math.nan
+    break_even: float = math.nan
+    first_seconds: float = math.nan
+    file_seconds: float = math.nan
+    on_front: bool = False
+
+    @property
+    def spot(self) -> Spot:
+        """Where it lies."""
+        return Spot(self.name, self.seconds, self.error)
+
+    @property
+    def gives_flow(self) -> bool:
+        """Whether it gives more than a runout."""
+        return self.group not in ("law", "extrapolated")
+
+
+def points_of(plan: Plan, table: Table[RunRow]) -> list[Point]:
+    """Return all points of a chart, compared, the fastest first; settings that were not run yet are not among them.
+
+    Args:
+        plan: of the chart.
+        table: of runs.
+    """
+    points = [point_of(rows) for rows in rows_by_name(plan, table).values()]
+    published, fitted = LAWS[0], FittedLaw(plan.law)
+    for name, law, spent in (("law_lube", published, 0.0), ("law_fitted", fitted, plan.law_seconds)):
+        began = time.perf_counter()
+        for _ in range(100):
+            law(1.0)
+        seconds = (time.perf_counter() - began) / 100
+        points.append(law_point(name, law, plan.scenes, seconds, spent, next(iter(plan.places.values()))))
+    return compared(points, plan.costs)
+
+
+def rows_by_name(plan: Plan, table: Table[RunRow]) -> dict[str, list[RunRow]]:
+    """Return every setting's runs, those that are extrapolated from two others among them.
+
+    Args:
+        plan: of the chart.
+        table: of runs.
+    """
+    found: dict[str, list[RunRow]] = {}
+    for row in plan.runs(table):
+        found.setdefault(row.name, []).append(row)
+    for coarse, fine in plan.pairs:
+        first, second = (found.get(f"mpm_{cells:g}", []) for cells in (coarse, fine))
+        for row in extrapolated(first, second, ratio=fine / coarse, order=plan.order):
+            found.setdefault(row.name, []).append(row)
+    return found
+
+
+def point_of(rows: Sequence[RunRow]) -> Point:
+    """Return the point of a setting.
+
+    Args:
+        rows: its runs, of all scenes.
+    """
+    of_scene: dict[str, list[float]] = {}
+    for row in rows:
+        of_scene.setdefault(row.scene, []).append(row.seconds)
+    errors = [row.runout_error for row in rows]
+    first = rows[0]
+    return Point(
+        name=first.name,
+        group=first.group,
+        seconds=statistics.mean(statistics.median(each) for each in of_scene.values()),
+        seconds_low=statistics.mean(min(each) for each in of_scene.values()),
+        seconds_high=statistics.mean(max(each) for each in of_scene.values()),
+        error=_root_mean_square(errors),
+        largest_error=max(errors, key=abs),
+        bias=statistics.mean(errors),
+        height_error=_root_mean_square([row.height_error for row in rows]),
+        profile_error=statistics.mean(row.profile_error for row in rows),
+        curve_error=statistics.mean(row.curve_error for row in rows),
+        runs=len(rows),
+        failed=sum(math.isinf(each) for each in errors),
+        dim=first.dim,
+        particles=max(row.particles for row in rows),
+        dtype=first.dtype,
+        device=first.device,
+        machine=first.machine,
+        threads=first.threads,
+        versions=first.versions,
+        first_seconds=statistics.median(row.first_seconds for row in rows),
+        file_seconds=statistics.median(row.file_seconds for row in rows),
+    )
+
+
+def extrapolated(coarse: Sequence[RunRow], fine: Sequence[RunRow], ratio: float, order: float) -> list[RunRow]:
+    """Return what two sizes of cells say of a cell of no size, placement by placement; the time is that of both.
+
+    Args:
+        coarse: runs on the coarser cells.
+        fine: on the finer ones, of the same scenes and placements; those of others are left out.
+        ratio: of the cells, above 1.
+        order: of the error.
+    """
+    others = {(row.scene, row.placement): row for row in coarse}
+    found, nothing = [], math.nan
+    for row in fine:
+        other = others.get((row.scene, row.placement))
+        if other is None:
+            continue
+        runout = extrapolate(other.runout, row.runout, ratio, order)
+        true = row.runout / (1 + row.runout_error)
+        error = runout / true - 1 if math.isfinite(runout) else math.inf
+        name = f"extrapolated_{other.name.removeprefix('mpm_')}_{row.name.removeprefix('mpm_')}"
+        both = replace(row, name=name, group="extrapolated", runout=runout, runout_error=error)
+        both = replace(both, curve_error=nothing, height_error=nothing, profile_error=nothing, file_seconds=nothing)
+        first_seconds = row.first_seconds + other.first_seconds
+        found.append(replace(both, seconds=row.seconds + other.seconds, first_seconds=first_seconds))
+    return found
+
+
+def law_point(
+    name: str,
+    law: Callable[[float], float],
+    scenes: Sequence[SceneFacts],
+    seconds: float,
+    data_seconds: float,
+    place: Place,
+) -> Point:
+    """Return the point of a law of the aspect ratio, which gives the runout and nothing else.
+
+    Args:
+        name: of the law.
+        law: aspect ratio → runout [L0].
+        scenes: with their true runouts.
+        seconds: that one evaluation takes [s].
+        data_seconds: of the runs it was fitted to [s]; 0 for a published one.
+        place: of the other settings.
+    """
+    errors = [law(each.aspect_ratio) / each.runout - 1 for each in scenes]
+    return Point(
+        name=name, group="law", seconds=seconds, seconds_low=seconds, seconds_high=seconds,
+        error=_root_mean_square(errors), largest_error=max(errors, key=abs), bias=statistics.mean(errors),
+        height_error=math.nan, profile_error=math.nan, curve_error=math.nan, runs=len(errors), failed=0, dim=0,
+        particles=0, dtype="float64", device="cpu", machine=place.machine,
+        threads=place.threads, versions=place.versions, data_seconds=data_seconds,
+    )  # fmt: skip
+
+
+def compared(points: Sequence[Point], costs: Mapping[str, Cost]) -> list[Point]:
+    """Return the points with what was spent on them, break-even numbers and the Pareto front, the fastest first.
+
+    Args:
+        points: of all settings.
+        costs: name → what was spent, of those that were trained.
+    """
+    line = [each.spot for each in points if each.group == "mpm"]
+    front = {each.name for each in pareto_front([each.spot for each in points if each.gives_flow])}
+    found = []
+    for each in points:
+        if each.group in LEARNED and each.name in costs:
+            cost = costs[each.name]
+            each = replace(each, data_seconds=cost.data_seconds, train_seconds=cost.train_seconds)
+        if each.group in (*LEARNED, "law") and math.isfinite(each.error):
+            equal = seconds_of_error(line, each.error)
+            spent = each.data_seconds + each.train_seconds
+            each = replace(each, equal_seconds=equal, break_even=break_even(spent, equal, each.seconds))
+        found.append(replace(each, on_front=each.name in front))
+    return sorted(found, key=lambda each: (each.seconds, each.name))
+
+
+def _root_mean_square(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

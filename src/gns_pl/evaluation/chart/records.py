@@ -1,0 +1,60 @@
+"""From the chart to the choice: its runs as the table by which `simulate.py tolerance=…` knows what a way is worth."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from gns_pl.evaluation.chart.rows import RunRow, rendered
+from gns_pl.io.atomic import write_atomically
+from gns_pl.rollout.choice import Record, read_records
+
+
+def records_of(rows: Iterable[RunRow]) -> list[Record]:
+    """Return one record for every way, scene, machine and number of threads: the largest errors, the median time.
+
+    Args:
+        rows: runs; those that failed count as infinitely wrong.
+    """
+    groups: dict[tuple[str, str, str, int, str], list[RunRow]] = {}
+    for row in rows:
+        groups.setdefault((row.name, row.kind, row.scene, row.threads, row.machine), []).append(row)
+    return [
+        Record(
+            way=name,
+            kind=kind,
+            scene=scene,
+            runout_error=max((row.runout_error for row in found), key=abs),
+            curve_error=max(row.curve_error for row in found),
+            height_error=max((row.height_error for row in found), key=abs),
+            profile_error=max(row.profile_error for row in found),
+            seconds=statistics.median(row.seconds for row in found),
+            work=found[0].work,
+            particles=found[0].particles,
+            threads=threads,
+            device=machine,
+        )
+        for (name, kind, scene, threads, machine), found in groups.items()
+    ]
+
+
+def write_records(path: Path, records: Sequence[Record]) -> int:
+    """Put records into a table, in the place of those of the same way, kind and number of threads; others stay.
+
+    Args:
+        path: the table; made, with its folder, if it is not there.
+        records: new ones.
+
+    Returns:
+        How many rows the table has now.
+
+    Raises:
+        InputError: the file there is another table.
+    """
+    new = {(each.way, each.kind, each.threads) for each in records}
+    there = read_records(path) if path.exists() else []
+    kept = [each for each in there if (each.way, each.kind, each.threads) not in new]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, rendered(Record, [*kept, *records]).encode())
+    return len(kept) + len(records)

@@ -1,0 +1,217 @@
+"""Measuring: settings in turns, warm, one process, a number of threads that is known.
+
+In the time of a run are: placing the particles, neighbour search, network, integration, the grid, and the copies that
+bring every frame to this process's memory. Not in it are compilation, reading a checkpoint and writing a file; what the
+first run took longer and what writing takes stands beside it.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+import torch
+
+from gns_pl.errors import InputError
+from gns_pl.evaluation.chart.converged import Converged, errors_of, hashed
+from gns_pl.evaluation.chart.entries import Entry
+from gns_pl.evaluation.chart.rows import Place, RatioRow, RunRow, Table
+from gns_pl.generation.pool import available_cores
+from gns_pl.io import write_trajectory
+from gns_pl.machine import machine_name
+from gns_pl.rollout.choice import kind_of
+from gns_pl.trajectory import Trajectory
+
+PACKAGES = ("gns_pl", "torch", "numba", "numpy")
+
+
+@cache
+def _session() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
+
+
+def place_of(device: str, threads: int) -> Place:
+    """Return where this process measures.
+
+    Args:
+        device: "cpu" or "cuda".
+        threads: that a run may use.
+    """
+    machine = machine_name()
+    if device == "cuda":
+        machine = f"{torch.cuda.get_device_name()}, {machine}" if torch.cuda.is_available() else f"CUDA, {machine}"
+    versions = " ".join(f"{name} {version(name)}" for name in PACKAGES)
+    return Place(machine, device, threads, f"python {platform.python_version()} {versions}", _session())
+
+
+@contextmanager
+def on_threads(number: int) -> Iterator[int]:
+    """Keep this process to a number of cores, and its libraries to as many threads, as long as it lasts; give it back.
+
+    Raises:
+        InputError: more than there are.
+    """
+    import numba
+
+    machine_name()  # says how many cores there are, and is asked but once: before they are fewer
+    most = min(available_cores(), int(numba.config.NUMBA_NUM_THREADS))
+    if not 1 <= number <= most:
+        raise InputError(f"threads must lie between 1 and {most} here, not {number}.")
+    before, held = torch.get_num_threads(), numba.get_num_threads()
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    try:
+        if cores:
+            os.sched_setaffinity(0, sorted(cores)[:number])
+        torch.set_num_threads(number)
+        numba.set_num_threads(number)
+        yield number
+    finally:
+        if cores:
+            os.sched_setaffinity(0, cores)
+        torch.set_num_threads(before)
+        numba.set_num_threads(held)
+
+
+def timed_run(entry: Entry, judged: Converged, seed: int) -> tuple[Trajectory | None, float]:
+    """Return what a setting makes of a scene, None if it fails, and the wall time [s]."""
+    began = time.perf_counter()
+    try:
+        made: Trajectory | None = entry.run(judged, seed)
+    except InputError:  # a run that became unstable says so; what cannot run at all was refused before
+        made = None
+    return made, time.perf_counter() - began
+
+
+def measure_runs(
+    entries: Sequence[Entry],
+    scenes: Sequence[Converged],
+    table: Table[RunRow],
+    places: Mapping[str, Place],
+    *,
+    placements: int,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Run every setting on every scene from every placement, in turns, as far as the table does not have it.
+
+    Each is run once untimed first. Rows are on the disk as soon as they are known.
+
+    Args:
+        entries: settings.
+        scenes: with what they should give.
+        table: filled.
+        places: device → where this process measures with it.
+        placements: runs of each setting and scene.
+        say: told every row.
+    """
+    missing = {
+        (judged.identity, seed, entry.name)
+        for judged in scenes
+        for seed in range(placements)
+        for entry in entries
+        if not _is_there(table, entry, judged, seed, places[entry.device])
+    }
+    number = 0
+    for judged in scenes:
+        ours = [each for each in entries if any((judged.identity, n, each.name) in missing for n in range(placements))]
+        first = {}
+        for entry in ours:
+            made, seconds = timed_run(entry, judged, 0)
+            first[entry.name] = seconds, _file_seconds(made, table.path.parent)
+        for seed in range(placements):
+            for entry in ours:
+                if (judged.identity, seed, entry.name) not in missing:
+                    continue
+                row = _measured(entry, judged, seed, places[entry.device], *first[entry.name])
+                table.add(row)
+                number += 1
+                off = f"runout {100 * row.runout_error:+6.1f} %, {row.seconds:.3f} s"
+                say(f"[{number}/{len(missing)}] {judged.scene.name} {entry.name:28} placement {seed}: {off}")
+
+
+def _measured(
+    entry: Entry, judged: Converged, seed: int, place: Place, first_seconds: float, file_seconds: float
+) -> RunRow:
+    made, seconds = timed_run(entry, judged, seed)
+    scene = entry.scene_of(judged)
+    particles, steps = entry.way.size(scene)
+    return RunRow(
+        name=entry.name, group=entry.group, identity=entry.identity, kind=kind_of(judged.scene),
+        scene=judged.scene.name, judged=judged.identity, placement=seed, machine=place.machine, device=place.device,
+        threads=place.threads, dim=entry.way.reduced(scene).scene.dim, dtype=entry.dtype, particles=particles,
+        steps=steps, work=entry.way.work(scene), seconds=seconds, first_seconds=first_seconds,
+        file_seconds=file_seconds, versions=place.versions, session=place.session, **errors_of(made, judged),
+    )  # fmt: skip
+
+
+def _is_there(table: Table[RunRow], entry: Entry, judged: Converged, seed: int, place: Place) -> bool:
+    key = {
+        "name": entry.name, "identity": entry.identity, "scene": judged.scene.name, "judged": judged.identity,
+        "placement": seed, "machine": place.machine, "device": place.device, "threads": place.threads,
+    }  # fmt: skip
+    return table.find(**key) is not None
+
+
+def _file_seconds(made: Trajectory | None, folder: Path) -> float:
+    if made is None:
+        return float("nan")
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".file-") as temporary:
+        began = time.perf_counter()
+        write_trajectory(Path(temporary) / "frames.h5", made)
+        return time.perf_counter() - began
+
+
+def measure_ratios(
+    pairs: Sequence[tuple[Entry, Entry]],
+    scenes: Sequence[Converged],
+    table: Table[RatioRow],
+    places: Mapping[str, Place],
+    *,
+    turns: int,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Time pairs of settings in turns, one after the other over all scenes, as far as the table does not have them.
+
+    Args:
+        pairs: a learned setting and a solver's.
+        scenes: of a turn.
+        table: filled.
+        places: as of `measure_runs`.
+        turns: timed; one before them warms up.
+        say: told every row.
+    """
+    judged = judged_together(scenes)
+    for own, other in pairs:
+        place = places[own.device]
+        key = {
+            "name": own.name, "identity": own.identity, "other": other.name, "other_identity": other.identity,
+            "judged": judged, "machine": place.machine, "threads": place.threads,
+        }  # fmt: skip
+        if table.find(**key) is not None:
+            continue
+        times: list[tuple[float, float]] = []
+        for turn in range(turns + 1):
+            times.append(tuple(sum(timed_run(each, scene, turn)[1] for scene in scenes) for each in (own, other)))  # type: ignore[arg-type]
+        kept = times[1:]
+        row = RatioRow(
+            **key,  # type: ignore[arg-type]
+            seconds=statistics.median(each[0] for each in kept) / len(scenes),
+            other_seconds=statistics.median(each[1] for each in kept) / len(scenes),
+            ratio=statistics.median(each[1] / each[0] for each in kept),
+            turns=turns,
+        )
+        table.add(row)
+        say(f"{own.name} and {other.name} in turns: {row.seconds:.3f} and {row.other_seconds:.3f} s, {row.ratio:.2f}")
+
+
+def judged_together(scenes: Sequence[Converged]) -> str:
+    """Return a hash of scenes that were timed together."""
+    return hashed([each.identity for each in scenes])

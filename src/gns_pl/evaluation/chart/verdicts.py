@@ -1,0 +1,121 @@
+"""Who wins, by trained way: the fastest material point run as accurate, and the most accurate one as fast."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from gns_pl.evaluation.chart.front import Spot, best_as_fast, fastest_as_good
+from gns_pl.evaluation.chart.plan import LEARNED
+from gns_pl.evaluation.chart.points import Point
+from gns_pl.evaluation.chart.rows import RatioRow
+
+TIE = 0.05
+"""Times that differ by less than this part are called equal: repeated measurements differ by as much."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What MPM has to set against a trained way.
+
+    Attributes:
+        own: the trained way.
+        as_good: the fastest MPM of equal or less error; None if none on the chart is as accurate.
+        as_fast: the most accurate MPM of equal or less time; None if none on the chart is as fast.
+        good_ratio: time of `as_good` over the own, as far as it is known measured in turns.
+        fast_ratio: the same of `as_fast`.
+        in_turns: both were measured in turns in one process.
+    """
+
+    own: Point
+    as_good: Spot | None
+    as_fast: Spot | None
+    good_ratio: float | None
+    fast_ratio: float | None
+    in_turns: bool
+
+    @property
+    def level(self) -> bool:
+        """Whether a material point run is as accurate and takes as long, within `TIE`."""
+        return self.good_ratio is not None and abs(self.good_ratio - 1) < TIE
+
+    @property
+    def solver_wins(self) -> bool:
+        """Whether a material point run is as accurate and faster, by more than `TIE`."""
+        return self.good_ratio is not None and self.good_ratio <= 1 - TIE
+
+    def others(self) -> list[str]:
+        """Return the names of the material point runs that it is to be timed with in turns; none for what failed."""
+        spots = () if self.own.failed else (self.as_good, self.as_fast)
+        return list(dict.fromkeys(spot.name for spot in spots if spot is not None))
+
+    def sentence(self) -> str:
+        """Return it in words."""
+        own = f"`{self.own.name}` errs by {percent(self.own.error)} in {seconds(self.own.seconds)}"
+        if self.own.failed:
+            return f"`{self.own.name}` failed in {self.own.failed} of {self.own.runs} runs"
+        if self.as_good is None:
+            good = "no MPM of the chart is as accurate"
+        else:
+            pace = pace_of(self.good_ratio or 1.0)
+            good = f"the fastest MPM as accurate, `{self.as_good.name}` ({percent(self.as_good.error)}), {pace}"
+        if self.as_fast is None:
+            fast = "no MPM of the chart is as fast"
+        elif self.as_good == self.as_fast:
+            fast = "and is the most accurate as fast, too"
+        else:
+            factor = self.as_fast.error / self.own.error if self.own.error else float("inf")
+            compared = f"{factor:.2g} times as much" if factor >= 1 else f"{1 / factor:.2g} times less"
+            off = f"{percent(self.as_fast.error)}, {compared}"
+            fast = f"the most accurate MPM as fast, `{self.as_fast.name}`, errs by {off}"
+        return f"{own}: {good}; {fast}"
+
+
+def verdicts(points: Sequence[Point], ratios: Iterable[RatioRow] = ()) -> list[Verdict]:
+    """Return a verdict on every trained way.
+
+    Args:
+        points: of the chart.
+        ratios: measured in turns; those of earlier settings are not looked at where the chart's points are others.
+    """
+    line = [each.spot for each in points if each.group == "mpm"]
+    known = {(row.name, row.other): row.ratio for row in ratios}
+    found = []
+    for own in points:
+        if own.group not in LEARNED:
+            continue
+        good, fast = fastest_as_good(line, own.error), best_as_fast(line, own.seconds)
+        pairs = [(own.name, each.name) for each in (good, fast) if each is not None]
+        by_good, by_fast = (
+            None if each is None else known.get((own.name, each.name), each.seconds / own.seconds)
+            for each in (good, fast)
+        )
+        found.append(Verdict(own, good, fast, by_good, by_fast, in_turns=all(pair in known for pair in pairs)))
+    return found
+
+
+def pace_of(ratio: float) -> str:
+    """Return the time of another over the own in words."""
+    if abs(ratio - 1) < TIE:
+        return "takes as long"
+    return f"takes {ratio:.3g} times as long" if ratio > 1 else f"is {1 / ratio:.3g} times faster"
+
+
+def percent(value: float) -> str:
+    """Return a share in per cent, "failed" if it is infinite."""
+    if value == float("inf"):
+        return "failed"
+    return "–" if value != value else f"{100 * value:.1f} %"
+
+
+def seconds(value: float) -> str:
+    """Return a time with its unit."""
+    if value != value:
+        return "unknown"
+    if value == float("inf"):
+        return "never"
+    if value < 1e-4:
+        return f"{1e6 * value:.2g} µs"
+    if value < 0.01:
+        return f"{1e3 * value:.2g} ms"
+    return f"{value:.3g} s" if value < 600 else f"{value / 60:.3g} min"

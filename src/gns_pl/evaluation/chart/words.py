@@ -1,0 +1,220 @@
+"""The chart in words: chart.md, and what stands under the figure. Every number comes from the rows."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+
+from gns_pl.evaluation.chart.plan import LEARNED, Plan, SceneFacts
+from gns_pl.evaluation.chart.points import Point
+from gns_pl.evaluation.chart.rows import BatchRow, Place, RunRow
+from gns_pl.evaluation.chart.verdicts import Verdict, pace_of, percent, seconds
+
+HEAD = (
+    *("setting", "particles", "seconds", "error", "largest", "mean", "height", "profile", "front over time"),
+    *("first run", "file"),
+)
+
+
+def caption(found: Sequence[Verdict], points: Sequence[Point], band: float) -> str:
+    """Return what stands under the figure: where MPM wins, where not, and what the trivial baselines do.
+
+    Args:
+        found: verdict on every trained way.
+        points: of the chart.
+        band: uncertainty of the reference, relative.
+    """
+    won = [each for each in found if each.solver_wins]
+    level = [each.own.name for each in found if each.level and not each.own.failed]
+    lost = [each for each in found if not each.solver_wins and not each.level and not each.own.failed]
+    parts = []
+    if won:
+        names = ", ".join(f"{each.own.name} ({pace_of(each.good_ratio or 1.0)})" for each in won)
+        parts.append(f"MPM wins, as accurate in less time, against {len(won)} of {len(found)} trained ways: {names}.")
+    elif found:
+        parts.append(f"MPM wins against none of {len(found)} trained ways.")
+    if level:
+        parts.append(f"Level with MPM as accurate: {', '.join(level)}.")
+    for each in lost:
+        ahead = (
+            "no MPM here is as accurate" if each.as_good is None else f"MPM as accurate {pace_of(each.good_ratio or 1)}"
+        )
+        parts.append(f"{each.own.name} is ahead: {ahead}.")
+    failed = [each.own.name for each in found if each.own.failed]
+    if failed:
+        parts.append(f"Failed: {', '.join(failed)}.")
+    front = [each.name for each in points if each.on_front]
+    parts.append(f"On the Pareto front: {', '.join(front)}.")
+    good = [each for each in points if not each.gives_flow and each.error < 0.1]
+    if good:
+        laws = ", ".join(f"{each.name} {percent(each.error)}" for each in sorted(good, key=lambda each: each.error)[:3])
+        parts.append(f"The runout alone is also had from {laws}.")
+    parts.append(f"Differences below {percent(band)}, the reference's own uncertainty, mean nothing.")
+    return " ".join(parts)
+
+
+def page(
+    plan: Plan,
+    points: Sequence[Point],
+    found: Sequence[Verdict],
+    rows: Mapping[str, Sequence[RunRow]],
+    batches: Sequence[BatchRow],
+    under: str,
+) -> str:
+    """Return chart.md.
+
+    Args:
+        plan: of the chart.
+        points: of the chart, compared.
+        found: verdict on every trained way.
+        rows: name of every setting → its runs.
+        batches: throughput.
+        under: the figure's caption.
+    """
+    scenes = plan.scenes
+    where = "; ".join(
+        f"{place.machine}, {place.device}, {threads_of(place)} a run ({place.versions})"
+        for place in plan.places.values()
+    )
+    number = min((each.runs for each in points if each.group == "mpm"), default=0) // max(1, len(scenes))
+    few = " **Fewer than five: a quick look, not a measurement.**" if number < 5 else ""
+    mixed = len({row.session for runs in rows.values() for row in runs}) > 1
+    sittings = " (in several sittings here; ratios of trained ways and MPM are from one)" if mixed else ""
+    lines = [
+        "# Speed against accuracy",
+        "",
+        f"Made by `{plan.command}`; every number and sentence below is the script's. Measured on {where}.",
+        "",
+        "![wall time, error, throughput, cost](chart.png)",
+        "",
+        under,
+        "",
+        "## What is measured",
+        "",
+        *(_scene_line(each) for each in scenes),
+        "",
+        "The error is that of the final runout of 99 % of the mass, relative to the reference, as root mean square "
+        f"over scenes and placements ({number} each). Times are medians over as many warm runs, in turns with all "
+        f"others in one process{sittings}, and means over the scenes.{few} In them are: placing the particles, "
+        "neighbour search, network or grid, integration, copies of every frame to the host. Not in them: compilation, "
+        "reading checkpoints, writing files; the table has the first run, with what was compiled in it, and the "
+        f"writing of a file apart. All give frames {scenes[0].interval:g} s apart. Slices are measured as slices.",
+        "",
+        "## Who wins",
+        "",
+        *(f"- {each.sentence()}{'' if each.in_turns else ' (not timed in turns)'}." for each in found),
+        "",
+        "## All settings",
+        "",
+        *_table(
+            HEAD,
+            [_point_cells(each) for each in points],
+        ),
+        "",
+        "Bold: on the Pareto front of what gives a flow. `mpm_N`: cells of √(L0 H0)/N, two points per direction unless "
+        "`_pN`; `_cX`: Courant number X; `_whole`: in three dimensions. `extrapolated_A_B`: the runout of `mpm_A` and "
+        "`mpm_B`, extrapolated to a cell of no size.",
+        "",
+        "## By scene",
+        "",
+        "Mean ± standard deviation of the runout's error over the placements and, in brackets, the largest of them.",
+        "",
+        *_table(("setting", *(each.name for each in scenes)), _scene_cells(rows, points, scenes)),
+    ]
+    if batches:
+        lines += ["", "## Many scenes at once", "", "Scenes a second, all frames in memory.", ""]
+        lines += _batch_table(batches)
+    spent = [each for each in points if each.group in LEARNED or (each.group == "law" and each.data_seconds)]
+    known = {name: cost.source for name, cost in plan.costs.items()}
+    lines += [
+        "",
+        "## What it cost before",
+        "",
+        "N* = (data + training) / (MPM's time of equal error, along its line − own time): scenes until it has paid.",
+        "",
+        *_table(
+            ("way", "data", "training", "own time", "MPM's of equal error", "N*", "known from"),
+            [(*_cost_cells(each), known.get(each.name, "")) for each in spent],
+        ),
+    ]
+    if plan.left_out:
+        lines += ["", "## Not on the chart", "", *(f"- `{name}`: {why}." for name, why in plan.left_out.items())]
+    return "\n".join([*lines, ""])
+
+
+def _cost_cells(each: Point) -> tuple[str, ...]:
+    equal = "none as accurate" if math.isinf(each.equal_seconds) else seconds(each.equal_seconds)
+    times = (seconds(each.data_seconds), seconds(each.train_seconds), seconds(each.seconds))
+    return (f"`{each.name}`", *times, equal, scenes_of(each))
+
+
+def threads_of(place: Place) -> str:
+    """Return how many threads a run had, in words."""
+    return f"{place.threads} thread{'s' if place.threads > 1 else ''}"
+
+
+def scenes_of(point: Point) -> str:
+    """Return a break-even number in words."""
+    if math.isnan(point.break_even):
+        return "unknown"
+    if math.isinf(point.break_even):
+        return "never"
+    return "at once" if math.isinf(point.equal_seconds) else f"{math.ceil(point.break_even):,}"
+
+
+def _scene_line(each: SceneFacts) -> str:
+    return (
+        f"- `{each.name}`, {each.duration:.3g} s: runout {each.runout:.4g} L0 by {each.words}, within "
+        f"{percent(each.uncertainty)}; {seconds(each.seconds)} a run."
+    )
+
+
+def _point_cells(each: Point) -> tuple[str, ...]:
+    name = f"**`{each.name}`**" if each.on_front else f"`{each.name}`"
+    failed = f", {each.failed} of {each.runs} failed" if each.failed else ""
+    apart = (_plain(each.first_seconds), _plain(each.file_seconds)) if each.gives_flow else ("–", "–")
+    return (
+        name, f"{each.particles:,}" if each.particles else "–", f"{each.seconds:.3g}", percent(each.error) + failed,
+        _signed(each.largest_error), _signed(each.bias), percent(each.height_error), _plain(each.profile_error),
+        percent(each.curve_error), *apart,
+    )  # fmt: skip
+
+
+def _scene_cells(
+    rows: Mapping[str, Sequence[RunRow]], points: Sequence[Point], scenes: Sequence[SceneFacts]
+) -> list[tuple[str, ...]]:
+    table = []
+    for each in points:
+        if each.name in rows:
+            by_scene = [[row.runout_error for row in rows[each.name] if row.scene == scene.name] for scene in scenes]
+            table.append((f"`{each.name}`", *map(_spread, by_scene)))
+    return table
+
+
+def _spread(errors: Sequence[float]) -> str:
+    if not errors or not all(map(math.isfinite, errors)):
+        return "failed" if errors else "–"
+    mean, scatter, largest = statistics.mean(errors), statistics.pstdev(errors), max(errors, key=abs)
+    return f"{100 * mean:+.1f} ± {100 * scatter:.1f} ({100 * largest:+.1f})"
+
+
+def _batch_table(batches: Sequence[BatchRow]) -> list[str]:
+    sizes = sorted({row.batch for row in batches})
+    names = list(dict.fromkeys(row.name for row in batches))
+    found = {(row.name, row.batch): f"{row.scenes_per_second:.3g}" for row in batches}
+    how = {row.name: row.how for row in batches}
+    cells = [(f"`{name}`", how[name], *(found.get((name, size), "–") for size in sizes)) for name in names]
+    return _table(("setting", "at once as", *map(str, sizes)), cells)
+
+
+def _table(head: Sequence[str], cells: Iterable[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *cells)]
+
+
+def _signed(value: float) -> str:
+    return percent(value) if not math.isfinite(value) else f"{100 * value:+.1f} %"
+
+
+def _plain(value: float) -> str:
+    return f"{value:.2g}" if math.isfinite(value) else "–"
