@@ -84,7 +84,8 @@ def _metadata(folder: Path) -> Path:
 
 
 MAKERS: list[Callable[[Path], Path]] = [
-    _geoelements, _structured, _npy, _groups, _groups_of_v2, _tfrecord, _cb_geo, _deck, _mesh, _vtk, _vtk_list, _metadata,
+    _geoelements, _structured, _npy, _groups, _groups_of_v2, _tfrecord, _cb_geo, _deck, _mesh, _vtk, _vtk_list,
+    _metadata,
 ]  # fmt: skip
 
 

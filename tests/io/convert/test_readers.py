@@ -224,5 +224,5 @@ def test_a_tfrecord_with_a_changing_number_of_particles(tmp_path: Path) -> None:
     frames = [frame.tobytes() for frame in falling(3)]
     example = fixtures.sequence_example([*frames[:2], frames[2][:-12]], np.full(64, 6).tobytes())
     (tmp_path / "train.tfrecord").write_bytes(fixtures.record(example))
-    with pytest.raises(InputError, match="frame 2 has .* the number of particles must not change"):
+    with pytest.raises(InputError, match=r"frame 2 has .* the number of particles must not change"):
         everything(open_set(tmp_path))

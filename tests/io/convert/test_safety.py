@@ -58,12 +58,10 @@ def test_a_hostile_file_runs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert [path.name for path in tmp_path.iterdir()] == ["train.npz"]
 
 
-def array_pickle(
-    shape: tuple[Any, ...],
-    kind: bytes,
-    content: bytes,
-    state: bytes = b"(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb",
-) -> bytes:
+TYPE_STATE = b"(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"
+
+
+def array_pickle(shape: tuple[Any, ...], kind: bytes, content: bytes, state: bytes = TYPE_STATE) -> bytes:
     """An array's pickle by hand, whose shape, type and bytes need not fit."""
     lengths = b"".join(b"\x8a\x08" + struct.pack("<q", length) for length in shape)
     rebuilt = b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85C\x01b\x87R"
@@ -79,7 +77,7 @@ def array_pickle(
         (array_pickle((-1,), b"f4", bytes(12)), "shape is not a tuple of whole numbers"),
         (array_pickle((1,), b"O8", bytes(8)), "items do not fit its shape"),
         (array_pickle((1,), b"V8", bytes(8)), "only plain numbers"),
-        (array_pickle((1,), b"f4", bytes(4), b"(K\x03U\x01<(tNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"), "structured"),
+        (array_pickle((1,), b"f4", bytes(4), TYPE_STATE.replace(b"<N", b"<(t")), "structured"),
         (b"\x80\x04r\xff\xff\xff\xff.", "truncated or damaged"),  # a memo slot of number 2³² − 1
         (b"\x80\x04\x8e" + struct.pack("<Q", 2**62) + b"x.", "truncated or damaged"),  # 4 EiB of bytes
         (b"\x80\x02\x82\x01.", "registered extension"),
