@@ -1,4 +1,4 @@
-"""python convert.py source=FILE|FOLDER target=FOLDER [to=FORMAT] [key=value …]: others' data and weights, in and out."""
+"""python convert.py source=THEIRS target=FOLDER [to=FORMAT] [key=value …]: others' data and weights, in and out."""
 
 import hydra
 from omegaconf import DictConfig

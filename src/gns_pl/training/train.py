@@ -24,7 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
-from gns_pl.generation import generate_dataset
+from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.simulator import SimulatorConfig
@@ -61,6 +61,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     training = TrainingConfig.from_dict(settings["training"])
     check_model(settings["model"])
+    settings["data"] = resolved_data(settings["data"])
     steps = training.optimisation.num_steps
     if resume is not None and steps_made(resume, settings) >= steps:
         print(f"{resume} has made its {steps} steps already; nothing is left to train.")
@@ -70,7 +71,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     check_devices(trainer, training.batch_size)
     with together(trainer), alone_in(output) if is_rank_zero() else nullcontext():
         seed_everything(settings["seed"], workers=True, verbose=False)
-        directory = generate_dataset(settings["data"], device="auto", progress=is_rank_zero())
+        directory = find_dataset(settings["data"], progress=is_rank_zero())
         datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
         module = build_module(settings, training, datamodule)
         try:

@@ -1,0 +1,99 @@
+"""From somebody else's data to a judged model, as a user types it: convert, train, evaluate."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gns_pl.checkpoint import load_checkpoint
+from gns_pl.io import read_trajectory
+from tests.commands.test_train import ROOT, read_rows
+from tests.io.convert import fixtures
+
+SMALL = [
+    "model=small", "model.latent_size=8", "model.num_message_passing_steps=1", "model.connectivity_radius=0.15",
+    "training.optimisation.num_steps=4", "training.optimisation.warmup_steps=1", "training.optimisation.unroll_steps=2",
+    "trainer.val_check_interval=2", "trainer.accelerator=cpu", "training.num_workers=0", "~logger.wandb",
+    "hydra.run.dir=runs/theirs",
+]  # fmt: skip
+
+
+def door(folder: Path, name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / name), *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=280)
+
+
+def with_obstacle(dim: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A falling body, and a row of kinematic particles below it that swings along x."""
+    body = fixtures.falling(10, dim=dim, seed=seed, dt=0.02)
+    row = np.full((10, 4, dim), 0.5, dtype=np.float32)
+    row[:, :, 0] = 0.2 + 0.1 * np.arange(4) + 0.05 * np.sin(np.arange(10))[:, None]
+    row[:, :, -1] = 0.05
+    position = np.concatenate([row, body], axis=1).astype(np.float32)
+    return position, np.where(np.arange(position.shape[1]) < 4, 3, 6)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_convert_train_evaluate(tmp_path: Path, dim: int) -> None:
+    scenes = [with_obstacle(dim, seed) for seed in range(4)]
+    sets = {"train": scenes[:2], "valid": scenes[2:3], "test": scenes[3:]}
+    positions = {split: [position for position, _ in each] for split, each in sets.items()}
+    fixtures.write_geoelements(tmp_path / "theirs", positions, scenes[0][1], np.float64(0.5))
+    metadata = json.loads((tmp_path / "theirs/metadata.json").read_text())
+    (tmp_path / "theirs/metadata.json").write_text(json.dumps({**metadata, "dt": 0.02}))
+    made = door(tmp_path, "convert.py", "source=theirs", "target=datasets/theirs", "trust=true")
+    assert made.returncode == 0, made.stderr
+    trained = door(tmp_path, "train.py", "data=datasets/theirs", *SMALL)
+    assert trained.returncode == 0, trained.stderr
+    checkpoint = load_checkpoint(tmp_path / "runs/theirs/last.ckpt")
+    config = checkpoint.simulator.config
+    assert config.particle_types == (3, 6) and config.dim == dim and config.material_features == ("tan_friction_angle",)
+    assert checkpoint.data["root"] == "datasets/theirs" and checkpoint.data["imported"]["format"] == "geoelements/gns"
+    [log] = (tmp_path / "runs/theirs/csv").glob("*/metrics.csv")
+    assert any(float(row["valid/position_error"] or "nan") >= 0 for row in read_rows(log))
+
+    figures = f"evaluation.figures={'true' if dim == 2 else 'false'}"
+    options = ("ckpt=runs/theirs/last.ckpt", figures, "evaluation.save_trajectories=true", "logger.enabled=false")
+    judged = door(tmp_path, "evaluate.py", *options, "evaluation.split=test")
+    assert judged.returncode == 0, judged.stderr
+    folder = tmp_path / "runs/theirs/evaluation"
+    document = json.loads((folder / "metrics.json").read_text())
+    assert list(document["scenes"]) == ["test_0000"]
+    assert document["scenes"]["test_0000"]["errors"]["learned"]["position_error"] is not None
+    learned = read_trajectory(folder / "learned_test_0000.h5").position
+    np.testing.assert_array_equal(learned[:, :4], positions["test"][0][:, :4])  # the obstacle keeps to its script
+    assert not np.array_equal(learned[:, 4:], positions["test"][0][:, 4:])
+
+
+def test_without_a_split_imported_data_are_judged_on_their_tests(tmp_path: Path) -> None:
+    scenes = [with_obstacle(2, seed)[0] for seed in range(3)]
+    (tmp_path / "plain").mkdir()
+    for number, position in enumerate(scenes):
+        np.savez(tmp_path / f"plain/{number}.npz", position=position, particle_type=with_obstacle(2, 0)[1])
+    box = ("lower=[0,0]", "upper=[1,1]", "dt=0.02")
+    made = door(tmp_path, "convert.py", "source=plain", "target=theirs", *box)
+    assert made.returncode == 0, made.stderr
+    advised = door(tmp_path, "train.py", "data=theirs", "advise=true", *SMALL)
+    assert advised.returncode == 0 and "neighbours" in advised.stdout, advised.stderr
+    trained = door(tmp_path, "train.py", "data=imported", "data.root=theirs", *SMALL, "training.stride=2")
+    assert trained.returncode == 0, trained.stderr
+    judged = door(
+        tmp_path, "evaluate.py", "ckpt=runs/theirs/last.ckpt", "evaluation.figures=false", "logger.enabled=false"
+    )
+    assert judged.returncode == 0 and "judged on their test trajectories" in judged.stdout, judged.stderr
+    refused = door(
+        tmp_path, "evaluate.py", "ckpt=runs/theirs/last.ckpt", f"evaluation.scenes=[{ROOT / 'scenes/two_blocks.yaml'}]"
+    )
+    assert refused.returncode == 2 and "evaluation.split=test" in refused.stderr
+
+
+def test_a_folder_that_is_no_data_set(tmp_path: Path) -> None:
+    refused = door(tmp_path, "train.py", "data=imported", *SMALL)
+    assert refused.returncode == 2 and "data=datasets/NAME" in refused.stderr and "Traceback" not in refused.stderr
+    refused = door(tmp_path, "train.py", "data=imported", "data.root=nowhere", *SMALL)
+    assert refused.returncode == 2 and "holds no data set" in refused.stderr
