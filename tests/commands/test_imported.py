@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from gns_pl.checkpoint import load_checkpoint
 from gns_pl.io import read_trajectory
 from tests.commands.test_train import ROOT, read_rows
+from tests.conversion.test_weights import random_weights
 from tests.io.convert import fixtures
 
 SMALL = [
@@ -97,3 +99,34 @@ def test_a_folder_that_is_no_data_set(tmp_path: Path) -> None:
     assert refused.returncode == 2 and "data=datasets/NAME" in refused.stderr and "Traceback" not in refused.stderr
     refused = door(tmp_path, "train.py", "data=imported", "data.root=nowhere", *SMALL)
     assert refused.returncode == 2 and "holds no data set" in refused.stderr
+
+
+def test_weights_of_geoelements_are_judged_and_simulate(tmp_path: Path) -> None:
+    scenes = [with_obstacle(3, seed)[0] for seed in range(3)]
+    positions = {"train": scenes[:1], "valid": scenes[1:2], "test": scenes[2:]}
+    fixtures.write_geoelements(tmp_path / "theirs", positions, with_obstacle(3, 0)[1], np.float64(0.5))
+    metadata = json.loads((tmp_path / "theirs/metadata.json").read_text())
+    (tmp_path / "theirs/metadata.json").write_text(json.dumps({**metadata, "dt": 0.02}))
+    torch.save(random_weights(3, material=True), tmp_path / "theirs/model-500.pt")
+    made = door(tmp_path, "convert.py", "source=theirs", "target=ours", "trust=true")
+    assert made.returncode == 0, made.stderr
+    told = door(tmp_path, "convert.py", "source=theirs/model-500.pt", "inspect=true")
+    assert told.returncode == 0 and "3 message-passing steps" in told.stdout and not (tmp_path / "a.ckpt").exists()
+    more = ("weights.data=ours", "weights.edge_update=residual")
+    carried = door(tmp_path, "convert.py", "source=theirs/model-500.pt", "target=a.ckpt", *more)
+    assert carried.returncode == 0 and "One-step error on ours" in carried.stdout, carried.stderr
+    off = ("evaluation.figures=false", "logger.enabled=false")
+    judged = door(tmp_path, "evaluate.py", "ckpt=a.ckpt", "evaluation.split=test", *off)
+    assert judged.returncode == 0, judged.stderr
+    document = json.loads((tmp_path / "evaluation/metrics.json").read_text())
+    assert document["checkpoint"]["data"]["root"] == "ours" and list(document["scenes"]) == ["test_0000"]
+    scene = ("scene=column_collapse", "scene.length=0.5", "scene.aspect_ratio=0.8", "duration=0.06", "device=cpu")
+    run = door(tmp_path, "simulate.py", "ckpt=a.ckpt", *scene)
+    assert run.returncode == 0, run.stderr
+    assert read_trajectory(tmp_path / "runs/simulate/column_collapse.h5").num_frames >= 2
+    back = door(tmp_path, "convert.py", "source=a.ckpt", "target=out/model-0.pt")
+    assert back.returncode == 0, back.stderr
+    first, second = (
+        torch.load(tmp_path / path, weights_only=True) for path in ("theirs/model-500.pt", "out/model-0.pt")
+    )
+    assert all(torch.equal(first[name], second[name]) for name in first)

@@ -193,7 +193,7 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
     if asks or any(value is None for value in known):
         return Findings(None, tuple(asks), values, tuple(notes))
     assert dt and scale and axis is not None and gravity is not None and lower and upper and spacing
-    axes = tuple((axis + 1 + k) % dim for k in range(dim))
+    axes = turned_axes(axis, dim)
     if axis != dim - 1:
         names = ", ".join("xyz"[each] for each in axes)
         notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
@@ -210,6 +210,11 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         notes=tuple(notes),
     )
     return Findings(facts, (), values, tuple(notes))
+
+
+def turned_axes(axis: int, dim: int) -> tuple[int, ...]:
+    """Return the axes of a source in the order of ours, its vertical one last; in turn, so that nothing is mirrored."""
+    return tuple((axis + 1 + k) % dim for k in range(dim))
 
 
 def _vector(found: ForeignSet, axes: tuple[int, ...], gravity: float) -> tuple[float, ...]:
@@ -266,7 +271,7 @@ def _gravity(
     found: ForeignSet, given: Given, sample: Sample, dt: float | None, notes: list[str]
 ) -> tuple[int | None, float | None]:
     """Return the axis of gravity and its magnitude in the source's units, as stated or as free fall shows it."""
-    axis = None if given.gravity_axis is None else _axis(given.gravity_axis, sample.dim)
+    axis = None if given.gravity_axis is None else axis_number(given.gravity_axis, sample.dim)
     if found.stated.gravity is not None and len(found.stated.gravity) == sample.dim:
         vector = np.array(found.stated.gravity)
         axis = int(np.abs(vector).argmax()) if axis is None else axis
@@ -314,7 +319,12 @@ def _scale(found: ForeignSet, given: Given, magnitude: float | None, asks: list[
     return None
 
 
-def _axis(wanted: str | int, dim: int) -> int:
+def axis_number(wanted: str | int, dim: int) -> int:
+    """Return the number of an axis that is named or numbered; in two dimensions z is the second.
+
+    Raises:
+        InputError: no axis.
+    """
     names = {name: number for number, name in enumerate("xyz"[:dim])}
     if dim == 2:
         names["z"] = 1

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
+from gns_pl.frame_simulator import FrameSimulator
 from gns_pl.graph import NeighbourList, Static
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.nn.encode_process_decode import FUSED_WIDTHS, has_triton
@@ -60,6 +61,8 @@ def accelerate(
         raise InputError(f"acceleration.sleep must be a speed of 0 or more, not {sleep}.")
     if captured and (skin or compiled or sleep):
         raise InputError("acceleration.captured stands alone: with skin=0, sleep=0 and compiled=false.")
+    if (sleep or captured) and isinstance(simulator, FrameSimulator):
+        raise InputError("acceleration.sleep and captured know no edges from a particle to itself, which this one has.")
     if sleep and simulator.config.output == "pairs":
         raise InputError("acceleration.sleep takes messages from one end of a pair, and output=pairs has one for both.")
     if captured and not can_capture(simulator):
