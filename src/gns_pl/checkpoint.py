@@ -17,7 +17,7 @@ from typing import Any
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.frame_simulator import FrameConfig, FrameSimulator
+from gns_pl.frame_simulator import KINDS, FrameConfig, build_simulator
 from gns_pl.graph import Seen
 from gns_pl.io import atomic_path
 from gns_pl.pretrained import find_checkpoint
@@ -26,12 +26,6 @@ from gns_pl.simulator import Simulator, SimulatorConfig
 KEY = "gns_pl"
 FORMAT_VERSION = 4
 PREFIX = "simulator."
-
-KINDS: dict[str, tuple[type[Simulator], type[SimulatorConfig]]] = {
-    "simulator": (Simulator, SimulatorConfig),
-    "frames": (FrameSimulator, FrameConfig),
-}
-"""Kind of simulator in a checkpoint → its class and its config's."""
 
 
 @dataclass(frozen=True)
@@ -117,8 +111,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     kind = entry.get("kind", "simulator")
     if kind not in KINDS:
         raise InputError(f"{path}: holds a simulator of the unknown kind {kind!r}; install a newer gns_pl.")
-    of_kind, config = KINDS[kind]
-    simulator = of_kind(config.from_dict(entry["config"]))
+    simulator = build_simulator(KINDS[kind].from_dict(entry["config"]))
     weights = {
         name.removeprefix(PREFIX): value for name, value in content["state_dict"].items() if name.startswith(PREFIX)
     }

@@ -17,7 +17,9 @@ numbers exactly, so that such networks are those of static edges with 2^k in the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -54,6 +56,8 @@ class FrameConfig(SimulatorConfig):
             raise InputError(f"edge_update must be one of {', '.join(EDGE_UPDATES)}, not {self.edge_update!r}.")
         if self.output != "acceleration" or self.context or self.aggregation != "sum":
             raise InputError("a simulator in frames has output=acceleration, aggregation=sum and no context.")
+        if max(self.particle_types, default=0) >= self.num_types or min(self.particle_types, default=0) < 0:
+            raise InputError(f"particle types {list(self.particle_types)} need more than num_types={self.num_types}.")
         if self.static_edges != (self.edge_update == "legacy_doubling"):
             raise InputError("static_edges goes with edge_update=legacy_doubling, and with nothing else.")
 
@@ -80,6 +84,25 @@ class FrameSimulator(Simulator):
         for name in ("velocity", "acceleration"):
             self.register_buffer(f"{name}_mean", torch.zeros(config.dim))
             self.register_buffer(f"{name}_std", torch.ones(config.dim))
+
+    def set_frame_statistics(self, moments: Mapping[str, Any], dt: float, noise_std: float) -> None:
+        """Set the normalisation from that of a data set.
+
+        Args:
+            moments: "velocity" [m/s] and "acceleration" [m/s²] → "mean" and "std" per axis [D].
+            dt: time of a step [s].
+            noise_std: of the latest displacement's noise, in the training [m].
+
+        Raises:
+            InputError: an axis along which nothing moves.
+        """
+        for name, unit in (("velocity", dt), ("acceleration", dt**2)):
+            mean, std = (torch.tensor(moments[name][key], dtype=torch.float64) * unit for key in ("mean", "std"))
+            std = (std.square() + noise_std**2).sqrt()
+            if not bool((std > 0).all()):
+                raise InputError(f"the {name} statistics of the data are zero along an axis; give training.noise_std.")
+            getattr(self, f"{name}_mean").copy_(mean)
+            getattr(self, f"{name}_std").copy_(std)
 
     def node_width(self) -> int:
         """Return the width of the node features."""
@@ -154,6 +177,27 @@ class FrameSimulator(Simulator):
         size = static.of_particles(static.upper) - static.of_particles(static.lower)
         position = torch.where(step.abs() > size, torch.nan, history[:, -1] + step)
         return torch.where(static.moved[:, None], position, history[:, -1])
+
+
+def simulator_config(model: Mapping[str, Any]) -> SimulatorConfig:
+    """Return the config of a model as conf/model has it; "kind" says of which simulator, the usual one without it.
+
+    Raises:
+        InputError: an unknown kind, or keys and values that make no config.
+    """
+    kind = model.get("kind", "simulator")
+    if kind not in KINDS:
+        raise InputError(f"model.kind must be one of {', '.join(KINDS)}, not {kind!r}.")
+    return KINDS[kind].from_dict({key: value for key, value in model.items() if key != "kind"})
+
+
+def build_simulator(config: SimulatorConfig) -> Simulator:
+    """Return a simulator of the kind of its config, with random weights."""
+    return FrameSimulator(config) if isinstance(config, FrameConfig) else Simulator(config)
+
+
+KINDS: dict[str, type[SimulatorConfig]] = {"simulator": SimulatorConfig, "frames": FrameConfig}
+"""Kind of simulator, in checkpoints and in conf/model → its config."""
 
 
 def with_self_loops(edge_index: Tensor, number: int) -> Tensor:

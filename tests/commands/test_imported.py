@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from gns_pl.checkpoint import load_checkpoint
+from gns_pl.checkpoint import load_checkpoint, load_simulator
 from gns_pl.io import read_trajectory
 from tests.commands.test_train import ROOT, read_rows
-from tests.conversion.test_weights import random_weights
+from tests.conversion.test_weights import a_state, random_weights
 from tests.io.convert import fixtures
 
 SMALL = [
@@ -130,3 +130,27 @@ def test_weights_of_geoelements_are_judged_and_simulate(tmp_path: Path) -> None:
         torch.load(tmp_path / path, weights_only=True) for path in ("theirs/model-500.pt", "out/model-0.pt")
     )
     assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_what_is_trained_with_their_features_goes_there(tmp_path: Path) -> None:
+    """Trained here, exported, imported again: the same step."""
+    scenes = [with_obstacle(2, seed) for seed in range(3)]
+    sets = {split: [scenes[k][0]] for k, split in enumerate(("train", "valid", "test"))}
+    fixtures.write_geoelements(tmp_path / "theirs", sets, scenes[0][1])
+    made = door(tmp_path, "convert.py", "source=theirs", "target=ours", "trust=true", "dt=0.02")
+    assert made.returncode == 0, made.stderr
+    small = ["model=geoelements", *(each for each in SMALL if each != "model=small")]
+    trained = door(tmp_path, "train.py", "data=ours", *small)
+    assert trained.returncode == 0, trained.stderr
+    gone = door(tmp_path, "convert.py", "source=runs/theirs/last.ckpt", "target=out/model-4.pt")
+    assert gone.returncode == 0, gone.stderr
+    back = door(
+        tmp_path, "convert.py", "source=out/model-4.pt", "target=b.ckpt", "weights.edge_update=residual", "spacing=0.1"
+    )
+    assert back.returncode == 0, back.stderr
+    first, second = (load_simulator(tmp_path / path) for path in ("runs/theirs/last.ckpt", "b.ckpt"))
+    history, static = a_state(2)
+    with torch.no_grad():
+        torch.testing.assert_close(first(history, static), second(history, static), atol=1e-6, rtol=0)
+    still = 2 * history[:, -1] - history[:, -2]
+    assert (first(history, static) - still)[4:].abs().max() > 1e-5

@@ -55,14 +55,14 @@ def convert_config(cfg: DictConfig) -> None:
 
 
 def _convert_weights(source: Path, target: Path | None, settings: dict[str, Any], weights: dict[str, Any]) -> None:
-    from gns_pl.conversion import weights as carrying
+    from gns_pl.conversion.weights import export_weights, import_weights, inspect_weights
 
     if source.suffix == CHECKPOINT:
         if target is None:
             raise InputError("inspect=true looks at data and at weights of others; a checkpoint of ours is known.")
-        print(f"Made: {carrying.export_weights(source, target)}")
+        print(f"Made: {export_weights(source, target)}")
         return
     given = {key: settings[key] for key in ("scale", "gravity_axis", "spacing", "dt", "name")}
-    print(*carrying.inspect_weights(source, weights["metadata"]), sep="\n", flush=True)
+    print(*inspect_weights(source, weights["metadata"]), sep="\n", flush=True)
     if target is not None:
-        print(f"Made: {carrying.import_weights(source, target, **given, **weights)}")
+        print(f"Made: {import_weights(source, target, **given, **weights)}")

@@ -120,7 +120,8 @@ def write_geoelements(export: Export) -> None:
                 if len(start.material_features) > 1:
                     raise InputError(f"geoelements/gns has room for one material value, not {start.material_features}.")
                 blocks = seen.passed(si_blocks(recording, export.facts), item, recording, _moved(start))
-                arrays = {"position": np.concatenate(list(blocks)), "particle_type": start.particle_type}
+                whole = whole_trajectory(start, recording.num_frames, blocks)
+                arrays: dict[str, NDArray[Any]] = {"position": whole.position, "particle_type": start.particle_type}
                 if start.material_features:
                     arrays["material"] = start.material[:, 0]
                 add(f"simulation_trajectory_{number}", arrays)
@@ -162,7 +163,9 @@ def write_vtk(export: Export) -> None:
 
     for split in _splits(export.items):
         for _, item, recording, start in export.opened(split):
-            write_paraview(export.folder / split, whole_trajectory(recording, start, export.facts), name=item.name)
+            blocks = si_blocks(recording, export.facts)
+            whole = whole_trajectory(start, recording.num_frames, blocks)
+            write_paraview(export.folder / split, whole, name=item.name)
 
 
 def _splits(items: Sequence[Item]) -> list[str]:

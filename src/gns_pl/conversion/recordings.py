@@ -157,9 +157,20 @@ def _initial_velocity(recording: Recording, facts: Facts) -> NDArray[np.float32]
     return np.asarray(first, dtype=np.float32)
 
 
-def whole_trajectory(recording: Recording, start: Trajectory, facts: Facts) -> Trajectory:
-    """Return a recording in memory, for formats that are written at once."""
-    return replace(start, position=np.concatenate(list(si_blocks(recording, facts))))
+def whole_trajectory(start: Trajectory, num_frames: int, blocks: Iterator[NDArray[np.float32]]) -> Trajectory:
+    """Return a trajectory in memory, for formats that are written at once.
+
+    Args:
+        start: its first frame.
+        num_frames: T.
+        blocks: all its frames, as of `si_blocks`.
+    """
+    position = np.empty((num_frames, *start.position.shape[1:]), dtype=np.float32)
+    done = 0
+    for block in blocks:
+        position[done : done + len(block)] = block
+        done += len(block)
+    return replace(start, position=position)
 
 
 def _rounded(values: Any) -> list[float]:

@@ -264,6 +264,13 @@ def build(
     return simulator
 
 
+def noise_of(provenance: Mapping[str, Any]) -> float:
+    """Return the noise in a checkpoint's standard deviations [m]: of the weights, or of a training of ours."""
+    if "weights" in provenance:
+        return float(provenance["weights"]["noise_std"])
+    return float(provenance.get("config", {}).get("training", {}).get("noise_std", 0.0))
+
+
 def export_weights(source: Path, target: Path) -> Path:
     """Write a checkpoint as geoelements/gns has it: `target` and metadata.json beside it, in metres and our axes.
 
@@ -298,7 +305,7 @@ def export_weights(source: Path, target: Path) -> Path:
     )
     parameters = dict(simulator.named_parameters())
     weights = theirs.theirs(parameters, shape, doubling=config.edge_update == "legacy_doubling")
-    noise = float(checkpoint.provenance.get("weights", {}).get("noise_std", 0.0))
+    noise = noise_of(checkpoint.provenance)
     metadata: dict[str, Any] = {
         "default_connectivity_radius": config.connectivity_radius,
         "dim": config.dim,

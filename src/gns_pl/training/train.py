@@ -24,10 +24,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
+from gns_pl.frame_simulator import FrameSimulator, simulator_config
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.nn.memory import keep_freed_memory
-from gns_pl.simulator import SimulatorConfig
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
 from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
 from gns_pl.training.close import close_run, run_files
@@ -184,7 +184,7 @@ def choose_features(wanted: Sequence[str] | None, available: Sequence[str]) -> l
 def check_model(model: Mapping[str, Any]) -> None:
     """Raise an `InputError` for a model that no data could make valid."""
     data = {"dim": 3, "dt": 1.0, "spacing": 1.0, "particle_types": (), "material_features": ()}
-    SimulatorConfig.from_dict({**model, **data})
+    simulator_config({**model, **data})
 
 
 def build_data(directory: Path, training: TrainingConfig, length: int, seed: int) -> TrajectoryDataModule:
@@ -234,7 +234,7 @@ def build_module(
     }
     model, elder = {**settings["model"], **of_data}, None
     if training.distil_from is not None:
-        elder = Elder.read(training.distil_from, training.distil_share, SimulatorConfig.from_dict(model))
+        elder = Elder.read(training.distil_from, training.distil_share, simulator_config(model))
     module = SimulatorModule(
         model=model,
         data=settings["data"],
@@ -249,8 +249,13 @@ def build_module(
         moments = manifest.statistics
     else:
         moments = {name: seen.to_dict() for name, seen in datamodule.statistics().items()}
-    scales = statistics(moments, of_data["dt"], settings["data"]["gravity"], training.perturbation.noise_std)
-    module.simulator.set_statistics(**scales, material=material_scale(datamodule, len(of_data["material_features"])))
+    noise_std = training.perturbation.noise_std
+    if isinstance(module.simulator, FrameSimulator):
+        module.simulator.set_frame_statistics(moments, of_data["dt"], noise_std)
+    else:
+        scales = statistics(moments, of_data["dt"], settings["data"]["gravity"], noise_std)
+        material = material_scale(datamodule, len(of_data["material_features"]))
+        module.simulator.set_statistics(**scales, material=material)
     module.seen = measure_seen(
         module.simulator,
         datamodule.train_set,

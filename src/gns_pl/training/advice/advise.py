@@ -10,10 +10,10 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.survey import survey_dataset
+from gns_pl.frame_simulator import simulator_config
 from gns_pl.generation import DatasetSpec, chosen_every, generate_dataset, is_imported, resolved_data
 from gns_pl.generation.records import first_difference
 from gns_pl.io import MANIFEST_NAME, Manifest, read_manifest
-from gns_pl.simulator import SimulatorConfig
 from gns_pl.training.advice import report
 from gns_pl.training.advice.numbers import compute_advice
 from gns_pl.training.advice.suggestions import suggest
@@ -43,7 +43,7 @@ def advise(cfg: DictConfig, output: Path) -> Path:
     directory = find_dataset(settings["data"])
     manifest = read_manifest(directory)
     names = manifest.splits["train"][: training.num_train]
-    model = SimulatorConfig.from_dict({**settings["model"], **_of_data(manifest, settings["model"])})
+    model = simulator_config({**settings["model"], **_of_data(manifest, settings["model"])})
     survey = survey_dataset(directory, manifest, names, radius=model.connectivity_radius)
     advice = compute_advice(
         survey, model, training, memory=machine_memory(), gravity=float(settings["data"]["gravity"])
