@@ -342,7 +342,9 @@ def test_the_door(geoelements: Path, tmp_path: Path) -> None:
     assert refused.returncode == 2 and "trust=true" in refused.stderr and "Traceback" not in refused.stderr
     told = door("source=theirs", "inspect=true", "trust=true")
     assert told.returncode == 0 and "nothing is missing" in told.stdout and not (tmp_path / "datasets").exists()
-    made = door("source=theirs", "target=datasets/ours", "trust=true")
+    made = door("source=theirs", "target=datasets/ours", "trust=true", "types={6:5}", "name=mine", "spacing=0.1")
     assert made.returncode == 0, made.stderr
+    manifest = read_manifest(tmp_path / "datasets/ours")
+    assert manifest.particle_types == (3, 5) and manifest.name == "mine" and manifest.spacing == 0.1
     assert "python train.py data=datasets/ours model.connectivity_radius=0.15" in made.stdout
     same(positions(tmp_path / "datasets/ours"), SCRIPTED)

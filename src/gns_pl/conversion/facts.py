@@ -67,7 +67,7 @@ class Given:
                     raise InputError(f"{name} must be a list of numbers, not {value!r}.")
                 object.__setattr__(self, name, tuple(map(float, value)))
         try:
-            types = {int(key): int(value) for key, value in dict(self.types).items()}
+            types = {int(key): int(value) for key, value in dict(self.types or {}).items()}
         except (TypeError, ValueError):
             raise InputError(f"types must map numbers to numbers, as types={{0:6}}, not {self.types!r}.") from None
         object.__setattr__(self, "types", types)

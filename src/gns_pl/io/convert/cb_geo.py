@@ -135,7 +135,7 @@ def _table(files: tuple[Path, ...]) -> NDArray[Any]:
             kept = [name for name in (*needed, *OPTIONAL) if name in columns]
             part = np.empty(len(rows), dtype=[(name, np.int64 if name == "id" else np.float64) for name in kept])
             for name in kept:
-                if rows.dtype[name].kind not in "iuf":
+                if rows.dtype[name].kind not in ("iu" if name == "id" else "iuf") or rows.dtype[name].shape:
                     raise InputError(f"{name} in its table must hold numbers, not {rows.dtype[name]}.")
                 part[name] = rows[name]
             parts.append(part)

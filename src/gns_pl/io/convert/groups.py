@@ -50,7 +50,7 @@ def own_data(group: Any, name: str) -> Any:
         raise InputError(f"{name} is stored in another file, which is not followed.")
     if found.dtype.kind not in "biufV" or found.dtype.hasobject:
         raise InputError(f"{name} must hold numbers, not {found.dtype}.")
-    ratio = 1 if found.compression is None else LARGEST_RATIO
+    ratio = LARGEST_RATIO if found.id.get_create_plist().get_nfilters() else 1
     check_claim(found.size * found.dtype.itemsize, found.id.get_storage_size(), name, ratio=ratio)
     return found
 
