@@ -16,7 +16,7 @@ from gns_pl.conversion.plan import plan_items
 from gns_pl.conversion.recordings import Assumed
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
-from gns_pl.io import read_manifest, read_trajectory, verify_dataset
+from gns_pl.io import StorageError, read_manifest, read_trajectory, verify_dataset
 from gns_pl.io.convert import open_set
 from tests.conftest import SAND
 from tests.io.convert import fixtures
@@ -284,6 +284,22 @@ def test_a_broken_off_conversion_goes_on(geoelements: Path, tmp_path: Path, monk
     same(positions(ours), SCRIPTED)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ours", "theirs"]
     assert sorted(path.suffix for path in ours.iterdir()) == [".h5"] * 4 + [".json"]
+
+
+@pytest.mark.parametrize("to", ["gns_pl", "geoelements", "lagrangebench"])
+def test_a_full_disk_is_one_sentence(
+    geoelements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str
+) -> None:
+    def full(*arguments: Any, **options: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    for place in ("gns_pl.io.stream.h5py.File.flush", "numpy.lib.format.write_array", "h5py.Group.create_group"):
+        monkeypatch.setattr(place, full)
+    with pytest.raises(StorageError, match="cannot be written"):
+        converted(geoelements, tmp_path / "ours", to=to)
+    monkeypatch.undo()
+    assert (tmp_path / ".ours.converting").is_dir() and not (tmp_path / "ours").exists()
+    converted(geoelements, tmp_path / "ours", to=to)
 
 
 def test_other_settings_begin_anew(geoelements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -79,7 +79,10 @@ def convert(
             _clear(part)
             writers = {"geoelements": exports.write_geoelements, "lagrangebench": exports.write_lagrangebench}
             writer = writers.get(to, exports.write_vtk)
-            writer(exports.Export(part, found, items, facts, assumed, told))
+            try:
+                writer(exports.Export(part, found, items, facts, assumed, told))
+            except OSError as error:
+                raise StorageError(f"{part}: cannot be written ({error.strerror or error}).") from error
         remove_temporary_files(part)
         (part / BEGUN).unlink()
         (part / LOCK).unlink()
