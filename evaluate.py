@@ -1,5 +1,7 @@
 """python evaluate.py ckpt=FILE [key=value …]: judge a checkpoint on test scenes against MPM computed on demand."""
 
+import sys
+
 import hydra
 from omegaconf import DictConfig
 
@@ -16,4 +18,6 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
+    # +evaluation=stress, as +experiment=… is typed, is what Hydra calls evaluation=stress.
+    sys.argv = [arg[1:] if arg.startswith("+evaluation=") else arg for arg in sys.argv]
     main()

@@ -145,7 +145,8 @@ def main() -> None:
     simulators = [way for way in ways if type(way) is LearnedWay and way.name in choice["learned"]]
     extra: list[Way] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in simulators]
     extra += [
-        replace(way, name=f"{way.name}+sleep", rest_speed=args.rest_speed, sleep=args.rest_speed) for way in simulators
+        replace(way, name=f"{way.name}+sleep", rest_speed=args.rest_speed, stabilise={"sleep": args.rest_speed})
+        for way in simulators
     ]
     solvers = [way for way in ways if isinstance(way, MPMWay)]
     extra += [replace(way, name=f"{way.name} whole", reduces=False) for way in solvers[:3]]

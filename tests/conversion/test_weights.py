@@ -22,6 +22,7 @@ from gns_pl.frame_simulator import FrameSimulator, with_self_loops
 from gns_pl.graph import Static, radius_graph
 from gns_pl.rollout import rollout
 from gns_pl.rollout.acceleration import accelerate
+from gns_pl.rollout.stabilise import stabilise
 from tests.conversion.test_convert import converted
 from tests.io.convert import fixtures
 
@@ -299,7 +300,8 @@ def test_rollouts_hold_kinematic_particles_and_know_their_limits(tmp_path: Path)
     skinned = rollout(accelerate(simulator, skin=0.3), truth, 7)
     np.testing.assert_allclose(skinned.position, made.position, atol=1e-6)
     with pytest.raises(InputError, match="edges from a particle to itself"):
-        accelerate(simulator, sleep=0.01)
+        accelerate(simulator, captured=True)
+    assert stabilise(simulator, sleep=0.1, passive=True) is simulator
 
 
 def test_data_tell_which_way_is_right(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,6 +40,7 @@ SETTINGS = {
     "paraview": False,
     "save_trajectories": False,
     "logger": None,
+    "stabilise": {},
 }
 
 

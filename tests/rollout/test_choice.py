@@ -183,6 +183,7 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
         "cells": [5],
         "mpm": MPM,
         "rest_speed": 0.0,
+        "stabilise": {},
     }
     settings |= {"frame_interval": 0.05, "records": str(measured), "explain": False}
     out = tmp_path / "out"

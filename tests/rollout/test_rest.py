@@ -10,8 +10,10 @@ from gns_pl.errors import InputError
 from gns_pl.rollout import Run, rollout, unroll
 from gns_pl.rollout.engine import history_of, static_of
 from gns_pl.rollout.rest import STEPS, Rest, SleepingStep
+from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.simulator import Simulator
+from gns_pl.trajectory import Trajectory
 from tests.conftest import SAND, make_simulator, make_start
 
 
@@ -27,21 +29,26 @@ def test_nobody_sleeps_at_once_and_while_all_move_the_steps_are_the_same(column:
     simulator, start = make_simulator(output="gated", context=True), make_start(column)
     plain = rollout(simulator, start, 8).position
     sleeping = SleepingStep(simulator, speed=1e-9)
+    assert sleeping.history_length == STEPS + 1
     np.testing.assert_array_equal(rollout(simulator, start, 8, step=sleeping).position, plain)
     assert bool(sleeping.awake.all())
+
+
+def long_still(start: Trajectory) -> torch.Tensor:
+    """Positions of particles that have not moved for as long as a sleeping step looks back [N, H, D]."""
+    return torch.from_numpy(start.position[0])[:, None].repeat(1, STEPS + 1, 1)
 
 
 @torch.inference_mode()
 def with_sleepers(simulator: Simulator, halo: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """A step's positions in full and with sleepers, and who is awake: one end moves, the rest has long been still."""
     start = make_start(long_column())
-    history, static = history_of(Run(start, 1), simulator.config), static_of(start)
+    history, static = long_still(start), static_of(start)
     step = SleepingStep(simulator, speed=0.01, halo=halo)
     moving = history[:, -1, 0] > 2.5
     history[moving, :-1, 0] -= 0.01
-    for _ in range(STEPS + 1):
-        position = step(history, static)
-    return simulator(history, static), position, step.awake
+    position = step(history, static)
+    return simulator(history[:, -simulator.config.input_sequence_length :], static), position, step.awake
 
 
 def test_what_is_awake_moves_as_in_the_full_step_within_a_whole_halo() -> None:
@@ -55,11 +62,10 @@ def test_what_is_awake_moves_as_in_the_full_step_within_a_whole_halo() -> None:
 
 def test_sleepers_stay_where_they_are_and_wake_by_contact() -> None:
     simulator, start = make_simulator(), make_start(long_column())
-    history, static = history_of(Run(start, 1), simulator.config), static_of(start)
+    history, static = long_still(start), static_of(start)
     step = SleepingStep(simulator, speed=0.01)
     with torch.inference_mode():
-        for _ in range(STEPS):
-            position = step(history, static)
+        position = step(history, static)
         assert not bool(step.awake.any())
         assert torch.equal(position, history[:, -1])
         pushed = history.clone()
@@ -98,3 +104,30 @@ def test_a_run_ends_where_its_scene_rests(drop: Scene, column: Scene) -> None:
     made = list(unroll(simulator, [Run(start, 12) for start in starts], step, rest=Rest(speed=0.01)))
     assert [0 in parts for parts in made] == [True] * (3 + STEPS) + [False] * (9 - STEPS)
     assert all(1 in parts for parts in made)
+
+
+def test_a_run_that_goes_on_sleeps_as_the_one_that_never_stopped(column: Scene) -> None:
+    simulator, start = make_simulator(output="held"), make_start(column)
+    for sleep in np.geomspace(0.05, 5, 40):  # until there are some that sleep and some that do not
+        stable = stabilise(simulator, sleep=float(sleep), passive=True)
+        whole = rollout(stable, start, 20).position
+        asleep = (np.diff(whole[9:], axis=0) == 0).all(axis=2)
+        if asleep.any() and not asleep[0].all():
+            break
+    else:
+        pytest.fail("all sleep or none")
+    past = whole[: 9 + 1][-STEPS - 1 :]
+    with torch.inference_mode():
+        late = [parts[0].numpy() for parts in unroll(stable, [Run(start, 11, past, 9)])]
+    np.testing.assert_array_equal(np.stack(late), whole[10:])
+
+
+def test_unknown_positions_before_the_start_are_motion(column: Scene) -> None:
+    simulator, start = make_simulator(), make_start(column)
+    history = history_of(Run(start, 1), simulator.config, STEPS + 1)
+    assert history.shape[1] == STEPS + 1
+    assert bool(history[:, : STEPS + 1 - simulator.config.input_sequence_length].isnan().all())
+    step = SleepingStep(simulator, speed=1e6)
+    with torch.inference_mode():
+        step(history, static_of(start))
+    assert bool(step.awake.all())

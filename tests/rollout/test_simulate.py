@@ -64,7 +64,7 @@ def test_longer_goes_on_and_shorter_is_there(ckpt: Path, drop: Scene, tmp_path: 
 def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     write_scene(drop, tmp_path / "drop.yaml")
     command = [sys.executable, "simulate.py", f"ckpt={ckpt}", f"scene={tmp_path / 'drop.yaml'}", "duration=0.6"]
-    command += [f"out={tmp_path / 'out'}", "device=cpu"]
+    command += [f"out={tmp_path / 'out'}", "device=cpu", "watch=false"]
     growing = tmp_path / "out" / "cube_drop.h5.growing"
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
     while process.poll() is None and (not growing.exists() or (find_frames(tmp_path / "out" / "cube_drop.h5") is None)):
@@ -73,7 +73,8 @@ def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     process.wait()
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "after" in said or "is there whole" in said
-    simulate(ckpt, [drop], out=tmp_path / "whole", duration=0.6, device="cpu")
+    stable = {"sleep": 0.1, "least_distance": 0.2, "passive": True}  # conf/rollout/stable.yaml
+    simulate(ckpt, [drop], out=tmp_path / "whole", duration=0.6, device="cpu", watch=False, stabilise=stable)
     whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "out"))
     np.testing.assert_allclose(parts.position, whole.position, atol=1e-6)
 
@@ -136,7 +137,7 @@ def test_what_fails_is_told_and_not_tried_again(
     simulator.acceleration_scale.fill_(1e38)
     save_checkpoint(tmp_path / "wild.ckpt", Checkpoint(simulator, {}, {}))
     (path,) = simulate(tmp_path / "wild.ckpt", [drop], out=tmp_path, device="cpu")
-    assert "not finite from 0.01 s on" in capsys.readouterr().out
+    assert "no sand does this: positions were no longer finite at 0.01 s; ended there" in capsys.readouterr().out
     assert read_trajectory(path).provenance["failed_at"] == 0.01
     simulate(tmp_path / "wild.ckpt", [drop], out=tmp_path, device="cpu")
     assert "is there until it failed at 0.01 s" in capsys.readouterr().out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,10 +11,10 @@ import numpy as np
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.curves import Curves, compute_curves, cut, num_finite_frames, write_curves
+from gns_pl.evaluation.doors import check_figures, check_space, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.measures import particle_spacing
 from gns_pl.evaluation.metrics import COMPARISON, SUMMARY, compare, summarise
 from gns_pl.evaluation.scenes import build_scenes, chosen
-from gns_pl.pretrained import find_checkpoint, pretrained_names
 from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.trajectory import Trajectory
 
@@ -55,6 +54,12 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
     from omegaconf import OmegaConf
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    if "stress" in settings["evaluation"]:
+        from gns_pl.evaluation.stress.judge import stress_from_settings
+
+        return stress_from_settings(settings)
+    if settings["solver"] != "learned":
+        raise InputError("solver=mpm is for the stress suite: python evaluate.py solver=mpm +evaluation=stress")
     evaluation, wanted = settings["evaluation"], settings["ckpt"]
     if not wanted:
         raise InputError("which checkpoint? Name one: python evaluate.py ckpt=runs/…/last.ckpt")
@@ -66,37 +71,8 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
     out = Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)
-    return evaluate_all(checkpoints, out=out, cache=Path(settings["cache"]), logger=logger, **evaluation)
-
-
-def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
-    """Return a name for every checkpoint → its path: that of the package, or of its folder, as long as they differ.
-
-    Raises:
-        InputError: one that is not there.
-    """
-    found: dict[str, Path] = {}
-    for text in wanted:
-        path = find_checkpoint(text)
-        if not path.is_file():
-            known = ", ".join(pretrained_names())
-            raise InputError(f"{path}: there is no such checkpoint; those that come with gns_pl are {known}.")
-        name = path.stem if path != Path(text) or not path.parent.name else path.parent.name
-        if name in found and found[name] != path:
-            name = f"{name}_{path.stem}"
-        if found.get(name, path) != path:
-            name = f"{name}_{len(found) + 1}"
-        found[name] = path
-    return found
-
-
-def default_folder(wanted: str | Sequence[str], checkpoints: Mapping[str, Path]) -> Path:
-    """Return where an evaluation goes if nobody says: beside one checkpoint; under runs/ for one of the package's."""
-    if len(checkpoints) > 1:
-        return Path("runs") / "_".join(checkpoints) / "evaluation"
-    [(name, path)] = checkpoints.items()
-    text = wanted if isinstance(wanted, str) else wanted[0]
-    return (Path("runs") / name if path != Path(text) else path.parent) / "evaluation"
+    kept = {"cache": Path(settings["cache"]), "stabilise": settings["stabilise"]}
+    return evaluate_all(checkpoints, out=out, logger=logger, **kept, **evaluation)
 
 
 def evaluate_all(
@@ -136,31 +112,12 @@ def evaluate_all(
     return documents
 
 
-def check_figures() -> None:
-    """Raise an `InputError` if the packages that draw are missing."""
-    from gns_pl.viz import missing_packages
-
-    missing = missing_packages()
-    if missing:
-        raise InputError(
-            f"figures need {' and '.join(missing)}: pip install 'gns_pl[viz]', or go without: evaluation.figures=false"
-        )
-
-
-def check_space(*, film: bool) -> None:
-    """Raise an `InputError` if the packages that draw in three dimensions are missing."""
-    from importlib.util import find_spec
-
-    missing = [name for name in ("pyvista", *(("imageio",) if film else ())) if find_spec(name) is None]
-    if missing:
-        raise InputError(f"evaluation.film and paraview need {' and '.join(missing)}: pip install 'gns_pl[viz3d]'")
-
-
 def evaluate(
     checkpoint_path: Path,
     *,
     out: Path,
     cache: Path,
+    stabilise: Mapping[str, Any],
     columns: Mapping[str, Any],
     scenes: Sequence[str] | str | None,
     split: str | None,
@@ -184,6 +141,7 @@ def evaluate(
         checkpoint_path: the checkpoint.
         out: folder for what is made; created.
         cache: folder in which MPM references are kept between evaluations.
+        stabilise: arguments of `rollout.stabilise.stabilise`, by which the rollouts are kept within what sand can do.
         columns: name → {length, height} [m].
         scenes: scene files to run in the columns' place; None for the columns.
         split: of the checkpoint's data set, to judge in their place: "valid", "test", "train"; None for none.
@@ -229,14 +187,15 @@ def evaluate(
             )
         if scene.obstacles:  # said here, before minutes of MPM
             raise InputError(f"scene {name!r} has obstacles, and a learned simulator knows no obstacles yet.")
-    _make_folder(out)
+    make_folder(out)
     move(checkpoint, device, "evaluation.device")
     results, files = {}, []
     for name, scene in built.items():
         source = "MPM (computed once, then cached)" if split is None else "the stored trajectory"
         print(f"{name}: {source} and the learned rollout …", flush=True)
         reference = stored.get(name) or reference_of(scene, checkpoint, cache=cache, seed=seed, cells=spread)
-        results[name] = result = judge_scene(name, reference, checkpoint, placements=placements, seed=seed)
+        result = judge_scene(name, reference, checkpoint, stabilise=stabilise, placements=placements, seed=seed)
+        results[name] = result
         files.append(out / f"curves_{name}.csv")
         write_curves(files[-1], result.curves)
         if save_trajectories:
@@ -282,7 +241,13 @@ def imported_split(checkpoint: Checkpoint, path: Path, *, wants_scenes: bool) ->
 
 
 def judge_scene(
-    name: str, reference: Reference, checkpoint: Checkpoint, *, placements: int = 0, seed: int = 0
+    name: str,
+    reference: Reference,
+    checkpoint: Checkpoint,
+    *,
+    stabilise: Mapping[str, Any] | None = None,
+    placements: int = 0,
+    seed: int = 0,
 ) -> SceneResult:
     """Run one scene by the learned simulator, and measure both.
 
@@ -293,20 +258,27 @@ def judge_scene(
         name: of the scene, for messages.
         reference: of the material point method.
         checkpoint: the simulator.
+        stabilise: arguments of `rollout.stabilise.stabilise`.
         placements: number of runs from other placements, for a band on the runout.
         seed: of the first of them.
     """
     from gns_pl.evaluation.bands import ensemble_bands
     from gns_pl.rollout import rollout
+    from gns_pl.rollout.failure import first_failure
     from gns_pl.rollout.familiarity import familiarity
     from gns_pl.rollout.fitted import start_of
     from gns_pl.rollout.progress import counting
+    from gns_pl.rollout.stabilise import stabilise as stabilised
 
+    simulator = stabilised(checkpoint.simulator, **(stabilise or {}))
     truth = reference.trajectory
     with counting(f"{name}: learned rollout", truth.dt) as on_step:
-        learned = rollout(checkpoint.simulator, truth, truth.num_frames - 1, on_step=on_step)
+        learned = rollout(simulator, truth, truth.num_frames - 1, on_step=on_step)
+    kept = {} if simulator is checkpoint.simulator else dict(stabilise or {})
+    learned = replace(learned, provenance={**learned.provenance, "stabilise": kept})
     finite = num_finite_frames(learned)
     failed_at = finite * learned.dt if finite < truth.num_frames else None
+    failure = first_failure(cut(learned, finite))
     trajectories = {"reference": truth, "learned": cut(learned, finite)}
     curves = {key: compute_curves(trajectory) for key, trajectory in trajectories.items()}
     still, errors = compare(_motionless(truth), truth), compare(learned, truth)
@@ -315,7 +287,11 @@ def judge_scene(
     placed = 0 if "mpm" not in checkpoint.data else placements  # what is imported has bodies of any shape
     starts = [start_of(truth.scene, checkpoint, number, {}) for number in range(seed, seed + placed)]
     duration = (truth.num_frames - 1) * truth.dt
-    ends = ensemble_bands([checkpoint], starts, duration=duration).members[:, -1].tolist() if starts else []
+    ends = (
+        ensemble_bands([replace(checkpoint, simulator=simulator)], starts, duration=duration).members[:, -1].tolist()
+        if starts
+        else []
+    )
     report: dict[str, Any] = {
         "scene": truth.scene.to_dict(),
         "length": length,
@@ -327,6 +303,7 @@ def judge_scene(
         "num_steps": truth.num_frames - 1,
         "dt": truth.dt,
         "failed_at": failed_at,
+        "failure": None if failure is None else failure.sentence,
         "reference": summarise(truth, curves["reference"]),
         "learned": {quantity.name: errors[quantity.name] for quantity in SUMMARY},
         "no_motion": {quantity.name: still[quantity.name] for quantity in SUMMARY},
@@ -360,15 +337,6 @@ def _motionless(reference: Trajectory) -> Trajectory:
         position=np.repeat(reference.position[:1], reference.num_frames, axis=0),
         initial_velocity=np.zeros_like(reference.initial_velocity),
     )
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be created ({error.strerror}); choose another folder with out=…") from error
-    if not os.access(out, os.W_OK):
-        raise InputError(f"{out}: cannot be written; choose another folder with out=…")
 
 
 def _write_trajectories(name: str, result: SceneResult, out: Path) -> list[Path]:

@@ -89,6 +89,8 @@ def verdict(scene: Mapping[str, Any]) -> str:
     """Return one sentence about a scene: how far the runout is off, beside what the reference leaves open, and when."""
     if scene["failed_at"] is not None:
         return f"The rollout failed after {scene['failed_at']:.3g} s: there is nothing to judge."
+    if scene.get("failure"):
+        return f"No sand does what this rollout did: {scene['failure']} (docs/stability.md)."
     errors, spread, wall = scene["errors"]["learned"], scene["reference_spread"], scene["wall_seconds"]
     if errors["runout_99_error"] is None:
         return "The reference does not advance, so there is no relative error of the runout."

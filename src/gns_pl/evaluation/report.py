@@ -131,6 +131,8 @@ def describe(scene: Mapping[str, Any]) -> str:
     text += f" {describe_mpm(scene)}"
     if scene["failed_at"] is not None:
         text += f" **The rollout failed: positions are not finite from t = {scene['failed_at']:.4g} s on.**"
+    elif scene["failure"] is not None:
+        text += f" **No sand does this: {scene['failure']}.**"
     return text
 
 

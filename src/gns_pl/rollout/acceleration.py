@@ -17,7 +17,6 @@ from gns_pl.frame_simulator import FrameSimulator
 from gns_pl.graph import NeighbourList, Static
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.nn.encode_process_decode import FUSED_WIDTHS, has_triton
-from gns_pl.rollout.rest import SleepingStep
 from gns_pl.simulator import Simulator
 
 PRECISIONS = ("float32", "tf32", "bfloat16")
@@ -37,7 +36,6 @@ def accelerate(
     precision: str = "float32",
     compiled: bool = False,
     captured: bool = False,
-    sleep: float = 0.0,
 ) -> Simulator:
     """Return a simulator with the same weights that makes the same steps in another way.
 
@@ -48,7 +46,6 @@ def accelerate(
             mean square, "tf32" by less.
         compiled: by `torch.compile`, on CUDA with its graphs; the first steps take up to minutes.
         captured: whole steps become a CUDA graph, neighbours included, which a GPU makes without waiting for the CPU.
-        sleep: particles that were slower for some steps, their neighbours too, stay where they are [m/s]; see `rest`.
 
     Raises:
         InputError: a negative skin, an unknown precision, or what does not go together.
@@ -57,14 +54,10 @@ def accelerate(
         raise InputError(f"acceleration.skin must be 0 or more connectivity radii, not {skin}.")
     if precision not in PRECISIONS:
         raise InputError(f"acceleration.precision must be one of {', '.join(PRECISIONS)}, not {precision!r}.")
-    if not sleep >= 0:
-        raise InputError(f"acceleration.sleep must be a speed of 0 or more, not {sleep}.")
-    if captured and (skin or compiled or sleep):
-        raise InputError("acceleration.captured stands alone: with skin=0, sleep=0 and compiled=false.")
-    if (sleep or captured) and isinstance(simulator, FrameSimulator):
-        raise InputError("acceleration.sleep and captured know no edges from a particle to itself, which this one has.")
-    if sleep and simulator.config.output == "pairs":
-        raise InputError("acceleration.sleep takes messages from one end of a pair, and output=pairs has one for both.")
+    if captured and (skin or compiled):
+        raise InputError("acceleration.captured stands alone: with skin=0 and compiled=false.")
+    if captured and isinstance(simulator, FrameSimulator):
+        raise InputError("acceleration.captured knows no edges from a particle to itself, which this simulator has.")
     if captured and not can_capture(simulator):
         raise InputError(
             f"acceleration.captured needs a GPU with Triton, a latent_size of {', '.join(map(str, FUSED_WIDTHS))}, and "
@@ -84,8 +77,6 @@ def accelerate(
     fast._modules["network"] = network
     if captured:
         fast.forward = CapturedStep(fast)  # type: ignore[method-assign]
-    if sleep:
-        fast.forward = SleepingStep(fast, sleep)  # type: ignore[method-assign]
     return fast
 
 

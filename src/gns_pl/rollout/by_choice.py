@@ -27,6 +27,7 @@ def make_ways(
     cells: Sequence[float],
     mpm: Mapping[str, Any],
     rest_speed: float = 0.0,
+    stabilise: Mapping[str, Any] | None = None,
 ) -> list[Way]:
     """Return the ways of a config (conf/simulate.yaml).
 
@@ -37,16 +38,18 @@ def make_ways(
         cells: of MPM, over √(L0 H0).
         mpm: its settings.
         rest_speed: at which learned runs end [m/s]; 0 for never.
+        stabilise: arguments of `rollout.stabilise.stabilise`, for learned runs.
 
     Raises:
         InputError: no such checkpoint.
     """
     ways: list[Way] = []
+    kept = dict(stabilise or {})
     for name in [*learned, *(str(each.get("learned")) for each in handed.values())]:
         if not find_checkpoint(name).is_file():
             raise InputError(f"choice.learned: there is no checkpoint {name}.")
     for name in learned:
-        ways.append(LearnedWay(Path(name).stem, name, rest_speed))
+        ways.append(LearnedWay(Path(name).stem, name, rest_speed, kept))
     for name in corrected:
         if not find_corrector(name).is_file():
             raise InputError(f"choice.corrected: there is no corrector {name}.")
@@ -55,7 +58,8 @@ def make_ways(
         keys = {"learned", "first", "until", "finer"}
         if set(each) != keys:
             raise InputError(f"choice.handed.{name}: needs {', '.join(sorted(keys))}, not {', '.join(sorted(each))}.")
-        ways.append(HandedWay(name, each["learned"], first=each["first"], until=each["until"], finer=each["finer"]))
+        handing = {key: each[key] for key in ("first", "until", "finer")}
+        ways.append(HandedWay(name, each["learned"], stabilise=kept, **handing))
     for number in cells:
         ways.append(MPMWay(f"mpm_{number:g}", float(number), mpm))
     return ways
@@ -76,6 +80,7 @@ def simulate_by_choice(
     cells: Sequence[float],
     mpm: Mapping[str, Any],
     rest_speed: float,
+    stabilise: Mapping[str, Any],
     frame_interval: float,
     records: str | None,
 ) -> list[Path]:
@@ -95,6 +100,7 @@ def simulate_by_choice(
         cells: likewise.
         mpm: likewise.
         rest_speed: likewise.
+        stabilise: likewise.
         frame_interval: time between the frames written [s].
         records: a table of measured runs; None takes the package's.
 
@@ -105,7 +111,7 @@ def simulate_by_choice(
         InputError: nothing to choose from, or a file of another run in the place of one.
     """
     measured = read_records(Path(records) if records else RECORDS)
-    ways, written = make_ways(learned, corrected, handed, cells, mpm, rest_speed), []
+    ways, written = make_ways(learned, corrected, handed, cells, mpm, rest_speed, stabilise), []
     machine = ", ".join(sorted({f"{each.device}, {each.threads} threads" for each in measured}))
     for scene in scenes:
         scene = scene if duration is None else scene.replace(duration=duration)
@@ -148,6 +154,7 @@ def _run(way: Way, scene: Scene, out: Path, interval: float, seed: int) -> Path:
     write_trajectory(path, replace(made, provenance={**made.provenance, **identity, "wall_seconds": seconds}))
     rest, failed = (made.provenance.get(key) for key in ("at_rest_from", "failed_at"))
     ended = f", at rest from {rest:.3g} s" if isinstance(rest, float) else ""
-    ended = f", not finite from {failed:.3g} s on; ended there" if isinstance(failed, float) else ended
+    why = made.provenance.get("failure", "not finite")
+    ended = f", failed at {failed:.3g} s ({why}); ended there" if isinstance(failed, float) else ended
     print(f"{path}: {made.num_frames} frames in {seconds:.2f} s, what is compiled at first use included{ended}")
     return path

@@ -19,6 +19,7 @@ from torch import Tensor
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
 from gns_pl.machine import machine_name
+from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.rest import Rest
 from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, ballistic_history
@@ -57,15 +58,22 @@ def static_of(*trajectories: Trajectory) -> Static:
     )
 
 
-def history_of(run: Run, config: SimulatorConfig) -> Tensor:
+def history_of(run: Run, config: SimulatorConfig, frames: int = 0) -> Tensor:
     """Return the positions a step needs [N, H, D] [m].
 
     Before the first frame they are ballistic (x0 − k v0 Δt), so that a scene alone is enough to start from.
+
+    Args:
+        run: the scene.
+        config: of the simulator.
+        frames: that are wanted, if more than H: of those before, the ones that were never made are NaN.
     """
     length, start = config.input_sequence_length, run.start
-    made = start.position[:1] if run.past is None else run.past[-length:]
+    made = start.position[:1] if run.past is None else run.past[-max(length, frames) :]
     before = ballistic_history(start.position[0], start.initial_velocity, config.dt, length)[:-1]
-    positions = np.concatenate([before, made])[-length:].astype(np.float32)
+    positions = made if len(made) >= length else np.concatenate([before, made])[-length:]
+    missing = np.full((max(0, frames - len(positions)), *made.shape[1:]), np.nan)
+    positions = np.concatenate([missing, positions]).astype(np.float32)
     return torch.from_numpy(positions).transpose(0, 1).contiguous()
 
 
@@ -95,6 +103,7 @@ def unroll(
     step: Callable[[Tensor, Static], Tensor] | None = None,
     *,
     rest: Rest | None = None,
+    watches: Sequence[Watch | None] | None = None,
 ) -> Iterator[dict[int, Tensor]]:
     """Step scenes together, on the device the simulator's weights are on, until each has made its steps.
 
@@ -105,6 +114,7 @@ def unroll(
         runs: the scenes.
         step: what makes the steps in the simulator's place, with the same arguments and result.
         rest: by which scenes end that have come to rest; None makes all their steps.
+        watches: of the scenes, which end at what theirs calls a failure, after that frame; None watches nothing.
 
     Yields:
         After every step, number of the scene → its positions [N, D] [m], of those that made it and are finite.
@@ -117,7 +127,8 @@ def unroll(
     step = simulator if step is None else step
     device = simulator.velocity_scale.device
     active = [number for number, run in enumerate(runs) if run.num_steps > 0]
-    histories = {number: history_of(runs[number], simulator.config).to(device) for number in active}
+    frames = getattr(getattr(step, "forward", step), "history_length", 0)  # of what looks further back
+    histories = {number: history_of(runs[number], simulator.config, frames).to(device) for number in active}
     count = 0
     while active:
         static = static_of(*(runs[number].start for number in active)).to(device)
@@ -137,8 +148,12 @@ def unroll(
             finite = parts
             if not bool(torch.isfinite(position.detach()).all()):
                 finite = {number: part for number, part in parts.items() if bool(torch.isfinite(part).all())}
-            yield finite
             going = [number for number in finite if runs[number].num_steps > count]
+            if watches is not None:
+                looked = {number: watches[number] for number in parts}
+                failed = [n for n, watch in looked.items() if watch and watch.look(parts[n].cpu().numpy())]
+                going = [number for number in going if number not in failed]
+            yield finite
             if rest is not None:
                 last = dict(zip(active, torch.split(before, lengths), strict=True))
                 dt = simulator.config.dt
@@ -158,6 +173,7 @@ def rollout(
     *,
     step: Callable[[Tensor, Static], Tensor] | None = None,
     rest: Rest | None = None,
+    watch: Watch | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
     """Unroll `simulator` from the first frame of `start`, on the device its weights are on.
@@ -171,11 +187,13 @@ def rollout(
         num_steps: frames to add.
         step: what makes the steps in the simulator's place, as of `acceleration`.
         rest: by which the loop ends early when the scene has come to rest.
+        watch: by which it ends early at a failure; the frame that failed is the last one.
         on_step: called with the number of steps made and `num_steps`.
 
     Returns:
         Up to `num_steps` + 1 frames at the simulator's time step; `provenance["wall_seconds"]` is the time of the loop,
-        `provenance["failed_at"]` [s] is there if it ended early, `provenance["at_rest_from"]` if at rest.
+        `provenance["failed_at"]` [s] is there if it ended early, with `provenance["failure"]` if it was watched,
+        `provenance["at_rest_from"]` if at rest.
 
     Raises:
         InputError: a start that does not fit the simulator.
@@ -183,14 +201,16 @@ def rollout(
     frames, finite = [start.position[0].astype(np.float32)], True
     began = time.perf_counter()
     with torch.inference_mode():
-        for parts in unroll(simulator, [Run(start, num_steps)], step, rest=rest):
+        for parts in unroll(simulator, [Run(start, num_steps)], step, rest=rest, watches=[watch]):
             finite = 0 in parts
             if finite:
                 frames.append(parts[0].cpu().numpy())
                 if on_step is not None:
                     on_step(len(frames) - 1, num_steps)
     provenance: dict[str, object] = {"solver": "gns_pl.rollout"}
-    if not finite:
+    if watch is not None and watch.failure is not None:
+        provenance |= {"failed_at": watch.failure.time, "failure": watch.failure.sentence}
+    elif not finite:
         provenance["failed_at"] = len(frames) * simulator.config.dt
     elif len(frames) <= num_steps:
         provenance["at_rest_from"] = (len(frames) - 1) * simulator.config.dt

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,13 @@ from gns_pl.corrector import CorrectorFile, load_corrector
 from gns_pl.errors import InputError
 from gns_pl.generation import chosen_every, solver, thin_trajectory
 from gns_pl.pretrained import find_corrector
-from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.correction import corrected_run
 from gns_pl.rollout.engine import rollout
+from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.handover import continued_by_mpm, continued_by_simulator
 from gns_pl.rollout.reduction import Reduction, to_plane, why_not_plane
 from gns_pl.rollout.rest import Rest
+from gns_pl.rollout.stabilise import stabilise
 from gns_pl.rollout.training_range import beyond
 from gns_pl.scene import Particles, Scene, fill_scene
 from gns_pl.scene.extent import characteristic_time
@@ -92,13 +93,13 @@ class LearnedWay(FittedWay):
         name: of the way.
         path: of the checkpoint, or the name of one that comes with the package.
         rest_speed: a run ends when every particle is slower [m/s]; 0 makes all its steps.
-        sleep: particles slower than this sleep [m/s] (`accelerate`).
+        stabilise: arguments of `stabilise`, by which its steps are kept within what sand can do.
     """
 
     name: str
     path: str | Path
     rest_speed: float = 0.0
-    sleep: float = 0.0
+    stabilise: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def checkpoint(self) -> Checkpoint:
@@ -126,11 +127,13 @@ class LearnedWay(FittedWay):
         return self.checkpoint.data
 
     def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory; arguments as those of `Way`. One that stops being finite ends there."""
-        less, simulator = self.reduced(scene), accelerate(self.checkpoint.simulator, sleep=self.sleep)
+        """Return the trajectory; arguments as those of `Way`. One that fails (`failure`) ends there."""
+        less, simulator = self.reduced(scene), stabilise(self.checkpoint.simulator, **self.stabilise)
         start = start_of(less.scene, self.checkpoint, seed, {})
         rest = Rest(self.rest_speed) if self.rest_speed else None
-        made = rollout(simulator, start, self.size(scene)[1], rest=rest)
+        made = rollout(
+            simulator, start, self.size(scene)[1], rest=rest, watch=Watch(start, self.interval, close_every=10)
+        )
         return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
 
 
@@ -224,7 +227,8 @@ class HandedWay(LearnedWay):
 
     def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
         """Return the trajectory; arguments as those of `Way`."""
-        less, simulator, settings = self.reduced(scene), self.checkpoint.simulator, self.settings
+        less, settings = self.reduced(scene), self.settings
+        simulator = stabilise(self.checkpoint.simulator, **self.stabilise)
         early, late = self.shares(scene)
         if self.first == "mpm":
             brief = less.scene.replace(duration=early * self.interval)

@@ -1,7 +1,7 @@
 """Only what moves: particles at rest fall asleep, and a scene whose particles all rest is done.
 
-A particle is still while neither it nor a neighbour moves faster than a threshold. One that has been still for some
-steps sleeps: it stays where it is and gets no messages; what is awake still feels it. It wakes when a neighbour moves.
+A particle sleeps while neither it nor a neighbour has moved faster than a threshold for some steps: it stays where it
+is and gets no messages; what is awake still feels it. It wakes when a neighbour moves.
 """
 
 from __future__ import annotations
@@ -65,8 +65,12 @@ class SleepingStep:
             message-passing steps, and what is awake moves as if the sleeping ones got their messages too; fewer are
             cheaper.
 
+    Whether somebody sleeps depends on the latest positions alone, so that a run that goes on later goes on as it was.
+
     Attributes:
         awake: which particles moved in the latest step [N] bool; empty before the first.
+        history_length: positions that a step looks at; earlier ones than the simulator's are NaN before they were made,
+            and nobody sleeps then.
     """
 
     def __init__(self, simulator: Simulator, speed: float, halo: int = 1) -> None:
@@ -77,27 +81,22 @@ class SleepingStep:
         self.simulator.search = self._find
         self.speed, self.halo = speed, halo
         self.awake = self.reached = torch.empty(0, dtype=torch.bool)
-        self._still = torch.empty(0, dtype=torch.int32)
+        self.history_length = max(simulator.config.input_sequence_length, STEPS + 1)
         self._moving = torch.empty(0, dtype=torch.bool)
-        self._static: Static | None = None
 
     def __call__(self, history: Tensor, static: Static) -> Tensor:
-        """Return the positions one step later; arguments as those of the simulator."""
-        if self._static is not static:
-            self._static = static
-            self._still = torch.zeros(len(history), dtype=torch.int32, device=history.device)
-        step = self.speed * self.simulator.config.dt
-        self._moving = (history[:, -1] - history[:, -2]).square().sum(dim=1) >= step**2
-        position = self.simulator(history, static)
+        """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
+        step, config = self.speed * self.simulator.config.dt, self.simulator.config
+        slow = history[:, -STEPS - 1 :].diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
+        self._moving = ~slow.all(dim=1) if history.shape[1] > STEPS else torch.ones_like(slow[:, 0])
+        position = self.simulator(history[:, -config.input_sequence_length :], static)
         return torch.where(self.awake[:, None], position, history[:, -1])
 
     def _find(self, *arguments: object, **settings: object) -> Tensor:
         """Search neighbours, and find out who sleeps."""
         edge_index: Tensor = self._search(*arguments, **settings)
         sender, receiver = edge_index
-        felt = self._moving.index_fill(0, receiver[self._moving[sender]], True)
-        self._still = torch.where(felt, 0, self._still + 1)
-        self.awake = self.reached = self._still < STEPS
+        self.awake = self.reached = self._moving.index_fill(0, receiver[self._moving[sender]], True)
         for _ in range(self.halo):
             self.reached = self.reached.index_fill(0, sender[self.reached[receiver]], True)
         return edge_index

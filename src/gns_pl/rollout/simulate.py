@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,18 +19,19 @@ import gns_pl
 from gns_pl.checkpoint import load_checkpoint, move
 from gns_pl.errors import InputError
 from gns_pl.generation.lock import locked
-from gns_pl.graph import Static
 from gns_pl.io import StorageError, file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
 from gns_pl.pretrained import find_checkpoint, pretrained_names
 from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
+from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.familiarity import told
 from gns_pl.rollout.fitted import start_of
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
-from gns_pl.rollout.rest import Rest
+from gns_pl.rollout.rest import STEPS, Rest
+from gns_pl.rollout.stabilise import stabilise as stabilised
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
 from gns_pl.simulator import Simulator
 from gns_pl.trajectory import Trajectory
@@ -79,7 +80,7 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
     if checkpoint is None:
         from gns_pl.rollout.by_choice import simulate_by_choice
 
-        kept = {key: settings[key] for key in ("out", "duration", "seed", "rest_speed")}
+        kept = {key: settings[key] for key in ("out", "duration", "seed", "rest_speed", "stabilise")}
         return simulate_by_choice(scenes, tolerance=tolerance, explain=explain, way=way, **choice, **kept)
     if chooses:
         raise InputError("ckpt= names the way already; leave it out, and tolerance=, way=, explain= choose one.")
@@ -115,6 +116,8 @@ def simulate(
     rest_speed: float = 0.0,
     device: str = "auto",
     acceleration: Mapping[str, Any] | None = None,
+    stabilise: Mapping[str, Any] | None = None,
+    watch: bool = True,
 ) -> list[Path]:
     """Run scenes together in a learned simulator, every frame into `out`/NAME.h5 as soon as it is made.
 
@@ -130,6 +133,8 @@ def simulate(
         rest_speed: a scene ends when all its particles were slower for some steps [m/s]; 0 makes all steps.
         device: "auto", or a device as torch names it.
         acceleration: arguments of `rollout.acceleration.accelerate`.
+        stabilise: arguments of `rollout.stabilise.stabilise`.
+        watch: what fails all the same ends with a sentence (`failure`); False goes on as long as numbers are finite.
 
     Returns:
         The files, in the order of the scenes.
@@ -151,24 +156,25 @@ def simulate(
     if duration is not None:
         scenes = [scene.replace(duration=duration) for scene in scenes]
     move(checkpoint, device, "device")
-    simulator = accelerate(checkpoint.simulator, **(acceleration or {}))
-    with processes(simulator.velocity_scale.device) as (rank, size), alone(out) if rank == 0 else nullcontext():
+    fast, settings = accelerate(checkpoint.simulator, **(acceleration or {})), dict(stabilise or {})
+    with processes(fast.velocity_scale.device) as (rank, size), alone(out) if rank == 0 else nullcontext():
         meet()  # so that nobody looks at files another run is still writing
+        simulator = stabilised(fast, step=SlabSimulator(fast) if size > 1 else None, **settings)
         starts = [start_of(scene, checkpoint, seed, identity) for scene in scenes]
-        length = simulator.config.input_sequence_length
+        length = max(simulator.config.input_sequence_length, STEPS + 1)
         jobs = [_job(out / f"{start.scene.name}.h5", start, length) for start in starts]
         for job in jobs:
             check_run(job.run, simulator.config)
         left = [job for job in jobs if job.run.num_steps or job.source != job.path]
         meet()  # all have seen the files as they were
-        step = SlabSimulator(simulator) if size > 1 else None
         rest = Rest(rest_speed) if rest_speed else None
+        watches = [_watch(job.run, simulator.config.dt) if watch else None for job in left]
         if rank:
             with torch.inference_mode():
-                deque(unroll(simulator, [job.run for job in left], step, rest=rest), maxlen=0)
+                deque(unroll(simulator, [job.run for job in left], rest=rest, watches=watches), maxlen=0)
             return [job.path for job in jobs]
         if left:
-            _write(left, simulator, step, identity, rest)
+            _write(left, simulator, identity, rest, watches)
             for job in left:
                 sentence = told(checkpoint, job.path)
                 if sentence is not None:
@@ -177,6 +183,12 @@ def simulate(
         if job not in left:
             print(f"{job.path}: is there {job.ended or 'whole'}")
     return [job.path for job in jobs]
+
+
+def _watch(run: Run, dt: float) -> Watch:
+    """Return what looks at a run, every tenth frame for neighbours: those of a million particles take seconds."""
+    before = None if run.past is None else run.past[-1]
+    return Watch(run.start, dt, before=before, made=run.made, close_every=10)
 
 
 def _job(path: Path, start: Trajectory, length: int) -> Job:
@@ -208,9 +220,9 @@ def _job(path: Path, start: Trajectory, length: int) -> Job:
 def _write(
     jobs: Sequence[Job],
     simulator: Simulator,
-    step: Callable[[torch.Tensor, Static], torch.Tensor] | None,
     identity: Mapping[str, object],
     rest: Rest | None,
+    watches: Sequence[Watch | None],
 ) -> None:
     """Make the steps of all jobs together and close every file when its scene is done."""
     dt = simulator.config.dt
@@ -240,19 +252,24 @@ def _write(
             open_jobs = {number for number, job in enumerate(jobs) if job.run.num_steps}
             for number in set(range(len(jobs))) - open_jobs:
                 finish(number)  # killed between its last frame and its name
-            for parts in unroll(simulator, [job.run for job in jobs], step, rest=rest):
+            for parts in unroll(simulator, [job.run for job in jobs], rest=rest, watches=watches):
                 for number in sorted(open_jobs & rested):
                     finish_rested(number, made)
                 made += 1
                 for number in sorted(open_jobs):
+                    looking = watches[number]
+                    failure = looking.failure if looking else None
                     if number in parts:
                         streams[number].append(_frame(parts[number]))
-                    if number not in parts or jobs[number].run.num_steps == made:
+                    elif failure is None:
+                        when = (jobs[number].run.made + made) * dt
+                        failure = Failure("not finite", when, f"positions were no longer finite at {when:.3g} s")
+                    if failure is not None or jobs[number].run.num_steps == made:
                         open_jobs.remove(number)
-                        failed = {} if number in parts else {"failed_at": (jobs[number].run.made + made) * dt}
+                        failed = {"failed_at": failure.time, "failure": failure.sentence} if failure else {}
                         finish(number, **failed)
                         if failed:
-                            print(f"{jobs[number].path}: not finite from {failed['failed_at']:g} s on; ended there.")
+                            print(f"{jobs[number].path}: no sand does this: {failed['failure']}; ended there.")
                 show(made, total)
             for number in sorted(open_jobs):
                 finish_rested(number, made)

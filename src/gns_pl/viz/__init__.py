@@ -14,6 +14,7 @@ from gns_pl.viz.notebook import interactive
 from gns_pl.viz.paraview import write_paraview
 from gns_pl.viz.plots import plot_curves, plot_evolution
 from gns_pl.viz.scene3d import render_film, render_still
+from gns_pl.viz.survival import plot_survival
 from gns_pl.viz.sweep import SweepPoint, plot_sweep
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "plot_familiarity",
     "plot_laws",
     "plot_learning_curve",
+    "plot_survival",
     "plot_sweep",
     "render_film",
     "render_still",

@@ -1,0 +1,74 @@
+"""What an evaluation refuses before anything heavy: checkpoints, folders and packages that are not there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from gns_pl.errors import InputError
+from gns_pl.pretrained import find_checkpoint, pretrained_names
+
+
+def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
+    """Return a name for every checkpoint → its path: that of the package, or of its folder, as long as they differ.
+
+    Raises:
+        InputError: one that is not there.
+    """
+    found: dict[str, Path] = {}
+    for text in wanted:
+        path = find_checkpoint(text)
+        if not path.is_file():
+            known = ", ".join(pretrained_names())
+            raise InputError(f"{path}: there is no such checkpoint; those that come with gns_pl are {known}.")
+        name = path.stem if path != Path(text) or not path.parent.name else path.parent.name
+        if name in found and found[name] != path:
+            name = f"{name}_{path.stem}"
+        if found.get(name, path) != path:
+            name = f"{name}_{len(found) + 1}"
+        found[name] = path
+    return found
+
+
+def default_folder(wanted: str | Sequence[str], checkpoints: Mapping[str, Path]) -> Path:
+    """Return where an evaluation goes if nobody says: beside one checkpoint; under runs/ for one of the package's."""
+    if len(checkpoints) > 1:
+        return Path("runs") / "_".join(checkpoints) / "evaluation"
+    [(name, path)] = checkpoints.items()
+    text = wanted if isinstance(wanted, str) else wanted[0]
+    return (Path("runs") / name if path != Path(text) else path.parent) / "evaluation"
+
+
+def check_figures() -> None:
+    """Raise an `InputError` if the packages that draw are missing."""
+    from gns_pl.viz import missing_packages
+
+    missing = missing_packages()
+    if missing:
+        raise InputError(
+            f"figures need {' and '.join(missing)}: pip install 'gns_pl[viz]', or go without: evaluation.figures=false"
+        )
+
+
+def check_space(*, film: bool) -> None:
+    """Raise an `InputError` if the packages that draw in three dimensions are missing."""
+    from importlib.util import find_spec
+
+    missing = [name for name in ("pyvista", *(("imageio",) if film else ())) if find_spec(name) is None]
+    if missing:
+        raise InputError(f"evaluation.film and paraview need {' and '.join(missing)}: pip install 'gns_pl[viz3d]'")
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder for what an evaluation gives.
+
+    Raises:
+        InputError: it cannot be made or written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be created ({error.strerror}); choose another folder with out=…") from error
+    if not os.access(out, os.W_OK):
+        raise InputError(f"{out}: cannot be written; choose another folder with out=…")

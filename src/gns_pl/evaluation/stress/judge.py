@@ -1,0 +1,181 @@
+"""The suite from its settings: who is stressed, on what, and what is left on the disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gns_pl.errors import InputError
+from gns_pl.evaluation.doors import check_figures, default_folder, make_folder, named_checkpoints
+from gns_pl.evaluation.scenes import chosen
+
+SOLVERS = ("learned", "mpm")
+
+
+def stress_from_settings(settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Run the suite as conf/evaluation/stress.yaml says.
+
+    Returns:
+        Name of what was stressed → numbers of its scenes, its failures, and those within its data.
+
+    Raises:
+        InputError: settings that cannot be used.
+    """
+    suite, solver = settings["evaluation"]["stress"], settings["solver"]
+    if solver not in SOLVERS:
+        raise InputError(f"solver must be one of {', '.join(SOLVERS)}, not {solver!r}.")
+    wanted = settings["ckpt"]
+    if solver == "learned" and not wanted:
+        raise InputError("which checkpoint? python evaluate.py ckpt=FILE +evaluation=stress, or solver=mpm")
+    checkpoints: dict[str, Path] = {}
+    if solver == "learned":
+        checkpoints = named_checkpoints(wanted if isinstance(wanted, list) else [wanted])
+        out = default_folder(wanted, checkpoints).parent / "stress"
+    else:
+        out = Path("runs/mpm/stress")
+    out = Path(settings["out"]) if settings["out"] else out
+    if suite["figures"]:
+        check_figures()
+    logger = {**settings["logger"]}
+    logged = logger.pop("enabled")
+    return run_suite(
+        checkpoints,
+        out=out,
+        cache=Path(settings["cache"]),
+        logger=logger if logged else None,
+        stabilise=settings["stabilise"],
+        **suite,
+    )
+
+
+def run_suite(
+    checkpoints: Mapping[str, Path],
+    *,
+    out: Path,
+    cache: Path,
+    logger: Mapping[str, Any] | None,
+    stabilise: Mapping[str, Any],
+    seed: int,
+    axes: Sequence[str] | str | None,
+    figures: bool,
+    device: str,
+    dim: int,
+    interval: float,
+    sand: Mapping[str, Any],
+    mpm: Mapping[str, Any],
+    variants: Mapping[str, Mapping[str, Any]],
+    only: Sequence[str] | str | None,
+) -> dict[str, dict[str, Any]]:
+    """Run the suite; what is in the folder's table already is not run again.
+
+    Args:
+        checkpoints: name → path of the learned simulators; none stresses the material point method.
+        out: folder of the table, the report and the figure.
+        cache: folder of references, which heaps start from.
+        logger: {offline, project} of W&B; None logs nothing.
+        stabilise: arguments of `rollout.stabilise.stabilise`.
+        seed: of the scenes and placements.
+        axes: names of those to run; None runs all.
+        figures: draw the survival curves.
+        device: of learned simulators, "auto" or as torch names it.
+        dim: D of the material point method's scenes.
+        interval: between its frames [s].
+        sand: specification of its sand: gravity, material, walls.
+        mpm: its settings.
+        variants: name → settings that differ.
+        only: names of the variants to run; None runs all.
+
+    Raises:
+        InputError: settings that cannot be used.
+    """
+    from gns_pl.evaluation import tracking
+    from gns_pl.evaluation.stress import report
+    from gns_pl.evaluation.stress.runs import run_scene
+    from gns_pl.evaluation.stress.suite import AXES, Sand, stress_scenes
+
+    axes = tuple(chosen(dict.fromkeys(AXES), axes, "evaluation.stress.axes"))
+    make_folder(out)
+    table = out / "stress.csv"
+    rows = report.read_rows(table)
+    known = {(row.identity, row.scene): row for row in rows}
+    wanted, names = [], []
+    if checkpoints:
+        subjects = _learned(checkpoints, device, stabilise, seed)
+    else:
+        subjects = _solved(variants, only, dim, interval, sand, mpm, seed)
+    for subject in subjects:
+        names.append(subject.name)
+        dim = subject.checkpoint.simulator.config.dim if subject.checkpoint else dim
+        scenes = list(stress_scenes(Sand.of(subject.data, dim, subject.interval), seed))
+        for number, each in enumerate(scene for scene in scenes if scene.axis in axes):
+            row = known.get((subject.identity, each.scene.name))
+            if row is None:
+                print(f"\r{subject.name}: {each.scene.name} ({number + 1})\033[K", end="", flush=True)
+                row = run_scene(subject, each, seed=seed, cache=cache)
+                rows.append(row)
+                report.write_rows(table, rows)
+            wanted.append(row)
+        print(f"\r{subject.name}: done\033[K", flush=True)
+    files = [table, out / "stress.md"]
+    about = f"Scenes of seed {seed}, axes {', '.join(axes)}; " + (
+        f"stabilised by {json.dumps(dict(stabilise))}." if checkpoints else "the material point method."
+    )
+    files[1].write_text(report.document(wanted, about), encoding="utf-8")
+    if figures:
+        files += report.draw(wanted, out)
+    print(report.summary_table(wanted))
+    print("Made:", *files, sep="\n  ")
+    if logger is not None:
+        print(f"  {tracking.log_stress(wanted, files, out=out, **logger)}")
+    return {
+        name: {
+            "scenes": len(some),
+            "failed": sum(bool(row.kind) for row in some),
+            "failed_inside": sum(bool(row.kind) and row.inside for row in some),
+        }
+        for name, some in report.by_model(wanted).items()
+    }
+
+
+def _identity(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:12]
+
+
+def _learned(checkpoints: Mapping[str, Path], device: str, stabilise: Mapping[str, Any], seed: int) -> Iterator[Any]:
+    from gns_pl.checkpoint import load_checkpoint, move
+    from gns_pl.evaluation.stress.runs import Subject
+    from gns_pl.io import file_sha256
+    from gns_pl.rollout.stabilise import stabilise as stabilised
+
+    for name, path in checkpoints.items():
+        checkpoint = load_checkpoint(path)
+        move(checkpoint, device, "evaluation.stress.device")
+        simulator = stabilised(checkpoint.simulator, **stabilise)
+        identity = _identity(file_sha256(path), dict(stabilise), seed)
+        dt = checkpoint.simulator.config.dt
+        yield Subject(name, identity, checkpoint.data, dt, checkpoint, simulator)
+
+
+def _solved(
+    variants: Mapping[str, Mapping[str, Any]],
+    only: Sequence[str] | str | None,
+    dim: int,
+    interval: float,
+    sand: Mapping[str, Any],
+    mpm: Mapping[str, Any],
+    seed: int,
+) -> Iterator[Any]:
+    from gns_pl.evaluation.stress.runs import Subject
+    from gns_pl.generation import solver
+
+    if dim not in (2, 3):
+        raise InputError(f"evaluation.stress.dim must be 2 or 3, not {dim}.")
+    walls = {face: wall for face, wall in sand["walls"].items() if dim == 3 or face[0] != "y"}
+    for name, changes in chosen(variants, only, "evaluation.stress.only").items():
+        settings = {**mpm, **(changes or {})}
+        solver.solver_config(settings)  # refuses what no run could use
+        data = {**sand, "walls": walls, "mpm": settings}
+        yield Subject(name, _identity(solver.solver_version(), data, dim, interval, seed), data, interval)

@@ -1,0 +1,138 @@
+"""What the suite gave: rows on the disk, tables, and what they say."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from gns_pl.errors import InputError
+from gns_pl.evaluation.stress.runs import Row
+from gns_pl.evaluation.stress.survival import survival
+from gns_pl.io.atomic import write_atomically
+from gns_pl.rollout.failure import CLOSE, CLOSE_SHARE, ENERGY, OUTSIDE, OUTSIDE_SHARE, SPEED
+
+TYPES: dict[str, Callable[[str], Any]] = {"bool": lambda text: text == "True", "int": int, "float": float, "str": str}
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Return the rows of a table; none if it is not there.
+
+    Raises:
+        InputError: a file that is no such table.
+    """
+    if not path.is_file():
+        return []
+    kinds = {each.name: TYPES[str(each.type)] for each in fields(Row)}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [Row(**{name: kinds[name](text) for name, text in line.items()}) for line in csv.DictReader(file)]
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise InputError(
+            f"{path}: is no table of the stress suite ({error}); remove it, or choose another out=."
+        ) from error
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Write a table, whole or not at all."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [each.name for each in fields(Row)], lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({name: f"{v:.6g}" if isinstance(v, float) else v for name, v in asdict(row).items()})
+    write_atomically(path, text.getvalue().encode())
+
+
+def by_model(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return model → its rows, in their order."""
+    return {name: [row for row in rows if row.model == name] for name in dict.fromkeys(row.model for row in rows)}
+
+
+def summary_table(rows: Sequence[Row]) -> str:
+    """Return a line for every model, in Markdown."""
+    lines = [
+        "| model | failed | within its data | told before | first failures | heaps: centre, farthest particle "
+        "[spacings] | momentum not explained [g] | seconds |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, some in by_model(rows).items():
+        failed, inside = [row for row in some if row.kind], [row for row in some if row.inside]
+        kinds = ", ".join(f"{kind} {number}" for kind, number in Counter(row.kind for row in failed).most_common())
+        heaps = [row for row in some if not math.isnan(row.drift)]
+        drift = f"{max(r.drift for r in heaps):.2f}, {max(r.drift_largest for r in heaps):.2f}" if heaps else "–"
+        told = f"{sum(row.announced for row in failed)} of {len(failed)}" if failed else "–"
+        lost = f"{sum(bool(row.kind) for row in inside)} of {len(inside)}"
+        momentum = max(row.momentum for row in some)
+        lines.append(
+            f"| `{name}` | {len(failed)} of {len(some)} | {lost} | {told} | {kinds or '–'} | {drift} | {momentum:.2f} "
+            f"| {sum(row.seconds for row in some):.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def axis_table(rows: Sequence[Row]) -> str:
+    """Return failures of every model along every axis, with the earliest, in Markdown."""
+    models = by_model(rows)
+    lines = ["| axis | scenes | " + " | ".join(f"`{name}`" for name in models) + " |", "|---" * (len(models) + 2) + "|"]
+    for axis in dict.fromkeys(row.axis for row in rows):
+        cells, number = [], 0
+        for some in models.values():
+            along = [row for row in some if row.axis == axis]
+            number = max(number, len(along))
+            times = [row.failed_at for row in along if row.kind]
+            cells.append(f"{len(times)} (from {min(times):.1f} τc)" if times else "0" if along else "–")
+        lines.append(f"| {axis.replace('_', ' ')} | {number} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def failures(rows: Sequence[Row]) -> str:
+    """Return a sentence for every failure within the data and every one that was not foretold, in Markdown."""
+    lines = []
+    for row in rows:
+        if row.kind and (row.inside or not row.announced):
+            where = "within its data" if row.inside else "not foretold"
+            lines.append(f"- `{row.model}`, {row.scene} ({row.value}), {where}: {row.sentence}.")
+    return "\n".join(lines) or "None."
+
+
+def document(rows: Sequence[Row], settings: str) -> str:
+    """Return the whole report in Markdown."""
+    return f"""# Stress suite
+
+{settings}
+
+A run fails, and is stopped, at the first frame in which a particle is faster than {SPEED:g} √(2 g H) plus the largest
+initial speed; more than {100 * OUTSIDE_SHARE:g} % of the particles are deeper than {OUTSIDE:g} spacings in a wall; more
+than {100 * CLOSE_SHARE:g} % are nearer to another than {CLOSE:g} of the first distance; the energy of motion and height
+is {100 * ENERGY:g} % (of that at the start) over the least before; or a number is not finite.
+
+{summary_table(rows)}
+
+Failures along each axis, and when the first of them came:
+
+{axis_table(rows)}
+
+![survival](stress.png)
+
+Failures within a model's data, and those that nothing foretold:
+
+{failures(rows)}
+"""
+
+
+def draw(rows: Sequence[Row], out: Path) -> list[Path]:
+    """Draw the survival curves and return the files."""
+    from gns_pl.viz import plot_survival
+
+    paths = [out / "stress.png", out / "stress.pdf"]
+    curves = {
+        name: {axis: survival([r for r in some if r.axis == axis]) for axis in dict.fromkeys(r.axis for r in some)}
+        for name, some in by_model(rows).items()
+    }
+    plot_survival(curves, paths)
+    return paths

@@ -1,0 +1,165 @@
+"""What keeps a run within what sand can do, without touching the network: wrappers around a step, each to be had alone.
+
+Each undoes one way in which learned runs fail (`rollout.failure`): forces larger than any in training, particles on top
+of each other, energy out of nothing, heaps that never rest. docs/stability.md has what each is worth.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from gns_pl.errors import InputError
+from gns_pl.frame_simulator import FrameSimulator
+from gns_pl.graph import Static, radius_graph
+from gns_pl.rollout.rest import SleepingStep
+from gns_pl.simulator import Simulator
+
+SWEEPS = 4
+"""Times that all pairs which are too close are moved apart, in a step."""
+
+ROUNDING = 2e-6
+"""Of a scene's energy: by so much it may rise in a step, which is what single precision does to free fall."""
+
+
+Step = Callable[[Tensor, Static], Tensor]
+
+
+def stabilise(
+    simulator: Simulator,
+    *,
+    sleep: float = 0.0,
+    least_distance: float = 0.0,
+    passive: bool = False,
+    largest_force: float = 0.0,
+    step: Step | None = None,
+) -> Simulator:
+    """Return a simulator that makes the same steps, where these stay within what sand can do.
+
+    A simulator in frames comes back as it is: its steps are those of another program, and equal to them.
+
+    Args:
+        simulator: stays as it is; may be one of `acceleration.accelerate`, which goes first.
+        sleep: particles slower than this for some steps, their neighbours too, stay where they are (`rest`) [m/s].
+        least_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
+        passive: a step that raises the energy of motion and height has its velocities scaled down, all of a scene's by
+            one factor, until it does not.
+        largest_force: a − g of a particle is shortened to so many of the simulator's `acceleration_scale`; 0: as it is.
+        step: what makes the simulator's steps in its place, as several processes do; nobody sleeps then.
+
+    Raises:
+        InputError: a negative limit, distances that no filling keeps, or sleep where nobody can look into a step.
+    """
+    if not largest_force >= 0:
+        raise InputError(f"stabilise.largest_force must be 0 or more acceleration scales, not {largest_force}.")
+    if not 0 <= least_distance < 1:
+        raise InputError(f"stabilise.least_distance must lie in [0, 1) spacings, not {least_distance}.")
+    if not sleep >= 0:
+        raise InputError(f"stabilise.sleep must be a speed of 0 or more, not {sleep}.")
+    if isinstance(simulator, FrameSimulator) and step is None:
+        return simulator
+    if sleep and step is None:
+        if simulator.config.output == "pairs":
+            raise InputError("output=pairs has one message for both ends, of which none can sleep: stabilise.sleep=0")
+        if "forward" in vars(simulator):
+            raise InputError(
+                "acceleration.captured makes a step at once, and nobody can sleep in it: stabilise.sleep=0"
+            )
+        step = SleepingStep(simulator, sleep)
+    if step is None and not (largest_force or least_distance or passive):
+        return simulator
+    stable = copy.copy(simulator)
+    stable.forward = StableStep(  # type: ignore[method-assign]
+        simulator, simulator if step is None else step, largest_force, least_distance, passive
+    )
+    return stable
+
+
+class StableStep:
+    """Steps of a simulator, corrected one after the other: forces, then distances, then energy.
+
+    Args:
+        simulator: whose steps these are; without gradients.
+        step: makes them.
+        largest_force: as of `stabilise`.
+        least_distance: as of `stabilise`.
+        passive: as of `stabilise`.
+    """
+
+    def __init__(
+        self, simulator: Simulator, step: Step, largest_force: float, least_distance: float, passive: bool
+    ) -> None:
+        self.simulator, self.step = simulator, step
+        self.largest_force, self.least_distance, self.passive = largest_force, least_distance, passive
+        length = simulator.config.input_sequence_length
+        self.history_length: int = getattr(step, "history_length", length)
+
+    def __call__(self, history: Tensor, static: Static) -> Tensor:
+        """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
+        position = self.step(history, static)
+        if self.largest_force:
+            position = self._clamped(history, position, static)
+        if self.least_distance:
+            position = self._apart(position, static)
+        if self.passive:
+            position = self._dissipating(history, position, static)
+        return torch.where(static.moved[:, None], position, history[:, -1])
+
+    def _clamped(self, history: Tensor, position: Tensor, static: Static) -> Tensor:
+        """Shorten the force of a step to the largest that is allowed; what the walls have done stays."""
+        force = self.simulator.target(history, position, static)
+        size = force.norm(dim=1, keepdim=True)
+        scaled = force * (self.largest_force / size.clamp_min(self.largest_force))
+        allowed = self.simulator.integrate(history, scaled, static)
+        return torch.where(size > self.largest_force, allowed, position)
+
+    def _apart(self, position: Tensor, static: Static) -> Tensor:
+        """Move particles apart that are too close, each by half of what is missing, some times over."""
+        least = self.least_distance * self.simulator.config.spacing
+        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
+        if not bool(torch.isfinite(position).all()):
+            return position
+        for _ in range(SWEEPS):
+            sender, receiver = radius_graph(position, least, static.batch, num_graphs=static.num_graphs)
+            if len(sender) == 0:
+                break
+            away = position[receiver] - position[sender]
+            distance = away.norm(dim=1, keepdim=True)
+            aside = torch.zeros_like(away)  # for two in one place: the one of the higher number goes up
+            aside[:, -1] = torch.where(receiver > sender, 1.0, -1.0)
+            direction = torch.where(distance > 1e-6 * least, away / distance.clamp_min(1e-12), aside)
+            push = torch.zeros_like(position).index_add_(0, receiver, 0.5 * (least - distance) * direction)
+            position = torch.clamp(position + push, lower, upper)
+        return position
+
+    def _dissipating(self, history: Tensor, position: Tensor, static: Static) -> Tensor:
+        """Scale the velocities of scenes whose energy rose, by the largest s in [0, 1] with E(s) ≤ E_before.
+
+        E(s) = Σ m (s² v²/2 − g · (x + s v Δt/2)) is quadratic in s: the energy in the middle of the step, which free
+        fall keeps. Particles weigh what they fill, exact for one density; a halt is what is left where no s does. Where
+        kinematic particles move they do work, and nothing is scaled.
+        """
+        dt, before, earlier = self.simulator.config.dt, history[:, -1], history[:, -2]
+        gravity, weight = static.of_particles(static.gravity), static.volume
+        lowest = static.of_particles(torch.where(static.gravity > 0, static.upper, static.lower))
+        velocity, past = (position - before) / dt, (before - earlier) / dt
+        quadratic = self._sum(weight, velocity.square().sum(1) / 2, static)
+        linear = -self._sum(weight, (gravity * velocity).sum(1) * dt / 2, static)
+        height = self._sum(weight, ((lowest - before) * gravity).sum(1), static)
+        there = self._sum(weight, past.square().sum(1) / 2 + (gravity * past).sum(1) * dt / 2, static) + height
+        allowed = there * (1 + ROUNDING) - height
+        root = (linear.square() + 4 * quadratic * allowed).clamp_min(0).sqrt()
+        factor = ((root - linear) / (2 * quadratic).clamp_min(1e-30)).clamp(0, 1)
+        pushed = self._sum(weight, past.square().sum(1) * ~static.moved, static) > 0
+        factor = torch.where(pushed | (quadratic + linear <= allowed), 1.0, factor)
+        factor = static.of_particles(factor[:, None])
+        return torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
+
+    @staticmethod
+    def _sum(weight: Tensor, value: Tensor, static: Static) -> Tensor:
+        """Return the sum of a quantity over the particles of every scene [B], in double precision."""
+        total = torch.zeros(static.num_graphs, dtype=torch.float64, device=value.device)
+        return total.index_add_(0, static.batch, (weight * value).double())

@@ -1,0 +1,140 @@
+"""What keeps a run within what sand can do: nothing where it is, and each promise kept where it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import cKDTree
+
+from gns_pl.errors import InputError
+from gns_pl.rollout import Run, rollout
+from gns_pl.rollout.engine import history_of, static_of
+from gns_pl.rollout.failure import Watch
+from gns_pl.rollout.stabilise import stabilise
+from gns_pl.scene import Scene
+from gns_pl.simulator import Simulator
+from tests.conftest import make_simulator, make_start
+
+
+def wild() -> Simulator:
+    """A simulator that makes energy out of nothing."""
+    simulator = make_simulator()
+    for weights in simulator.network.parameters():
+        weights.data *= 3.0
+    return simulator
+
+
+def test_nothing_asked_for_is_the_simulator_itself() -> None:
+    simulator = make_simulator()
+    assert stabilise(simulator) is simulator
+
+
+def test_free_fall_is_left_alone(drop: Scene) -> None:
+    simulator, start = make_simulator(), make_start(drop, spacing=0.15)  # no neighbours within the radius
+    plain = rollout(simulator, start, 12).position
+    stable = stabilise(simulator, passive=True, least_distance=0.2, largest_force=10.0)
+    np.testing.assert_array_equal(rollout(stable, start, 12).position, plain)
+
+
+@pytest.mark.parametrize("thrown", [(0.0, 0.0, 2.0), (0.0, 0.0, -2.0), (1.0, 0.0, 0.0)])
+def test_energy_never_rises(drop: Scene, thrown: tuple[float, float, float]) -> None:
+
+    scene = drop.replace(bodies=(replace(drop.bodies[0], velocity=thrown),))
+    start = make_start(scene)
+    watch = Watch(start, 0.01)
+    made = rollout(wild(), start, 30)
+    for frame in made.position[1:]:
+        watch.look(frame)
+    assert watch.rise > 0.01  # it is wild
+    watch, made = Watch(start, 0.01), rollout(stabilise(wild(), passive=True), start, 30)
+    for frame in made.position[1:]:
+        assert watch.look(frame) is None or watch.failure.kind != "energy"
+    assert watch.rise < 1e-4
+
+
+def test_scenes_of_a_batch_are_scaled_each_on_its_own(column: Scene, drop: Scene) -> None:
+    simulator, starts = wild(), [make_start(column), make_start(drop)]
+    stable = stabilise(simulator, passive=True)
+    with torch.inference_mode():
+        history = torch.cat([history_of(Run(start, 1), simulator.config) for start in starts])
+        together = stable(history, static_of(*starts))
+        alone = [
+            stabilise(simulator, passive=True)(history_of(Run(start, 1), simulator.config), static_of(start))
+            for start in starts
+        ]
+    torch.testing.assert_close(together, torch.cat(alone), atol=1e-6, rtol=0)
+
+
+def test_particles_are_moved_apart_and_stay_in_the_box(column: Scene) -> None:
+    simulator, start = make_simulator(), make_start(column)
+    close = start.position[0].copy()
+    close[1] = close[0] + [1e-4, 0, 0]
+    close[3] = close[2]  # in one place
+    history = torch.from_numpy(np.repeat(close[:, None], 4, axis=1))
+    static = static_of(start)
+    stable = stabilise(simulator, least_distance=0.3)
+    with torch.inference_mode():
+        before, after = simulator(history, static).numpy(), stable(history, static).numpy()
+    least = 0.3 * simulator.config.spacing
+    assert cKDTree(before).query(before, k=2)[0][:, 1].min() < 0.1 * least
+    assert cKDTree(after).query(after, k=2)[0][:, 1].min() > 0.9 * least
+    moved = np.abs(after - before).max(axis=1) > 1e-7
+    assert moved.sum() < 12  # and nobody else
+    assert (after >= np.array(column.lower)).all() and (after <= np.array(column.upper)).all()
+    np.testing.assert_allclose(after[moved].mean(axis=0), before[moved].mean(axis=0), atol=0.1 * least)
+
+
+def test_forces_are_shortened_and_keep_their_direction(column: Scene) -> None:
+    simulator, start = wild(), make_start(column)
+    history, static = history_of(Run(start, 1), simulator.config), static_of(start)
+    with torch.inference_mode():
+        force = simulator.normalised_acceleration(history, static)
+        limit = float(force.norm(dim=1).median())
+        position = stabilise(simulator, largest_force=limit)(history, static)
+        made = simulator.target(history, position, static)
+    inside = ((position > static.lower + 1e-6) & (position < static.upper - 1e-6)).all(dim=1)
+    wanted = force * (limit / force.norm(dim=1, keepdim=True)).clamp_max(1.0)
+    assert float((force.norm(dim=1) > limit).float().mean()) > 0.3
+    torch.testing.assert_close(made[inside], wanted[inside], atol=2e-3, rtol=0)
+
+
+def test_what_sleeps_does_not_creep(column: Scene) -> None:
+    simulator, start = make_simulator(output="held"), make_start(column)
+    made = rollout(stabilise(simulator, sleep=100.0), start, 12).position  # faster than anything
+    np.testing.assert_array_equal(made[5:], np.repeat(made[5:6], len(made) - 5, axis=0))
+    assert np.abs(made[4] - made[0]).max() > 0
+
+
+@pytest.mark.parametrize("settings", [{"sleep": -1.0}, {"least_distance": 1.0}, {"largest_force": -1.0}])
+def test_limits_that_make_no_sense_are_refused(settings: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=r"stabilise\."):
+        stabilise(make_simulator(), **settings)
+
+
+def test_pairs_do_not_sleep() -> None:
+    with pytest.raises(InputError, match="sleep=0"):
+        stabilise(make_simulator(output="pairs", num_message_passing_steps=1), sleep=0.1)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_obstacles_that_move_do_work(column: Scene, moves: bool) -> None:
+    """Where kinematic particles push, the energy may rise, so nothing is scaled; where they stand still, it is."""
+    torch.manual_seed(0)
+    simulator = make_simulator(particle_types=(3, 6))
+    for weights in simulator.network.parameters():
+        weights.data *= 3.0
+    start = make_start(column)
+    types = np.where(np.arange(start.num_particles) < 8, 3, 6)
+    script = np.repeat(start.position, 6, axis=0)
+    velocity = np.zeros_like(start.initial_velocity)
+    if moves:
+        script[:, :8, 0] += 0.01 * np.arange(6)[:, None]
+        velocity[:8, 0] = 1.0
+    start = replace(start, position=script, particle_type=types, initial_velocity=velocity)
+    plain = rollout(simulator, start, 5).position
+    stable = rollout(stabilise(simulator, passive=True), start, 5).position
+    np.testing.assert_array_equal(stable[:, :8], script[:, :8])
+    assert np.array_equal(stable, plain) is moves
