@@ -17,6 +17,7 @@ from torch.nn.functional import layer_norm
 
 from gns_pl.checkpoint import KEY, load_checkpoint, load_simulator, save_checkpoint
 from gns_pl.conversion import weights as carrying
+from gns_pl.conversion.weights_export import export_weights
 from gns_pl.errors import InputError
 from gns_pl.frame_simulator import FrameSimulator, with_self_loops
 from gns_pl.graph import Static, radius_graph
@@ -216,7 +217,7 @@ def test_other_units_and_axes_are_the_same_model(tmp_path: Path, axis: str, scal
 def test_there_and_back(tmp_path: Path, edge_update: str) -> None:
     weights, metadata = random_weights(3, material=True), metadata_of(3)
     imported(saved(tmp_path / "m", weights, metadata), tmp_path / "a.ckpt", edge_update=edge_update)
-    back = carrying.export_weights(tmp_path / "a.ckpt", tmp_path / "out/model-0.pt")
+    back = export_weights(tmp_path / "a.ckpt", tmp_path / "out/model-0.pt")
     again = torch.load(back, weights_only=True)
     assert set(again) == set(weights)
     for name, value in weights.items():
@@ -229,7 +230,7 @@ def test_there_and_back(tmp_path: Path, edge_update: str) -> None:
 
 def test_models_of_ours_with_other_features_do_not_fit(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not fit geoelements/gns: its network gives accelerations less gravity"):
-        carrying.export_weights(Path("collapse"), tmp_path / "model-0.pt")
+        export_weights(Path("collapse"), tmp_path / "model-0.pt")
     assert not list(tmp_path.iterdir())
 
 

@@ -55,7 +55,8 @@ def convert_config(cfg: DictConfig) -> None:
 
 
 def _convert_weights(source: Path, target: Path | None, settings: dict[str, Any], weights: dict[str, Any]) -> None:
-    from gns_pl.conversion.weights import export_weights, import_weights, inspect_weights
+    from gns_pl.conversion.weights import import_weights, inspect_weights
+    from gns_pl.conversion.weights_export import export_weights
 
     if source.suffix == CHECKPOINT:
         if target is None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gns_pl.conversion.facts import Findings, Given, Sample, find_out, take_sample
+from gns_pl.conversion.facts import Findings, Given, find_out
+from gns_pl.conversion.sample import Sample, take_sample
 from gns_pl.data.probes import neighbour_counts
 from gns_pl.errors import InputError
 from gns_pl.io import SPLITS

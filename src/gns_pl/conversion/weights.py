@@ -1,8 +1,7 @@
-"""Models of geoelements/gns become checkpoints of ours that step just as they do, and such checkpoints theirs."""
+"""Models of geoelements/gns become checkpoints of ours that step just as they do."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,13 +12,12 @@ import numpy as np
 import torch
 
 import gns_pl
-from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.conversion.compare import compare_edge_updates
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES
 from gns_pl.frame_simulator import EDGE_UPDATES, FrameConfig, FrameSimulator
-from gns_pl.io import atomic_path, file_sha256, manifest_sha256, read_manifest
-from gns_pl.io.atomic import write_atomically
+from gns_pl.io import file_sha256, manifest_sha256, read_manifest
 from gns_pl.io.convert import geoelements_weights as theirs
 from gns_pl.io.convert.metadata import NAME, frame_statistics, positive, read_json, read_metadata
 from gns_pl.io.convert.source import reading
@@ -262,66 +260,3 @@ def build(
         getattr(simulator, f"{name}_mean").copy_(torch.from_numpy(moments[f"{key}_mean"][order] * frame.scale))
         getattr(simulator, f"{name}_std").copy_(torch.from_numpy(std[order] * frame.scale))
     return simulator
-
-
-def noise_of(provenance: Mapping[str, Any]) -> float:
-    """Return the noise in a checkpoint's standard deviations [m]: of the weights, or of a training of ours."""
-    if "weights" in provenance:
-        return float(provenance["weights"]["noise_std"])
-    return float(provenance.get("config", {}).get("training", {}).get("noise_std", 0.0))
-
-
-def export_weights(source: Path, target: Path) -> Path:
-    """Write a checkpoint as geoelements/gns has it: `target` and metadata.json beside it, in metres and our axes.
-
-    Args:
-        source: checkpoint of ours.
-        target: model-N.pt.
-
-    Raises:
-        InputError: a checkpoint whose features theirs do not have, or a target that is there.
-    """
-    checkpoint = load_checkpoint(source)
-    simulator, config = checkpoint.simulator, checkpoint.simulator.config
-    if not isinstance(simulator, FrameSimulator) or not isinstance(config, FrameConfig):
-        raise InputError(
-            f"{source}: does not fit geoelements/gns: its network gives accelerations less gravity, has no edges "
-            "from a particle to itself and lets what touches nothing fall freely; only models with their features fit."
-        )
-    if target.suffix != ".pt":
-        raise InputError(f"target={target} must be a file ending in .pt, such as model-0.pt.")
-    for path in (target, target.parent / NAME):
-        if path.exists():
-            raise InputError(f"{path}: is there already; remove it or choose another folder for target=.")
-    shape = theirs.Shape(
-        dim=config.dim,
-        num_velocities=config.input_sequence_length - 1,
-        latent_size=config.latent_size,
-        num_mlp_layers=config.num_mlp_layers,
-        num_message_passing_steps=config.num_message_passing_steps,
-        num_types=config.num_types,
-        type_size=config.type_size,
-        num_material_features=len(config.material_features),
-    )
-    parameters = dict(simulator.named_parameters())
-    weights = theirs.theirs(parameters, shape, doubling=config.edge_update == "legacy_doubling")
-    noise = noise_of(checkpoint.provenance)
-    metadata: dict[str, Any] = {
-        "default_connectivity_radius": config.connectivity_radius,
-        "dim": config.dim,
-        "dt": config.dt,
-        "boundary_augment": config.boundary_clip,
-        "nnode_in": simulator.node_width(),
-        "nedge_in": config.dim + 1,
-        "sequence_length": config.input_sequence_length,
-        "noise_std": noise,
-    }
-    for key, name in (("vel", "velocity"), ("acc", "acceleration")):
-        std = getattr(simulator, f"{name}_std").double().numpy()
-        metadata[f"{key}_mean"] = getattr(simulator, f"{name}_mean").double().tolist()
-        metadata[f"{key}_std"] = np.sqrt(np.maximum(std**2 - noise**2, 0.0)).tolist()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(target) as temporary:
-        torch.save({name: value.detach() for name, value in weights.items()}, temporary)
-    write_atomically(target.parent / NAME, (json.dumps(metadata, indent=1) + "\n").encode())
-    return target

@@ -106,7 +106,7 @@ def test_sound_files_are_read(make: Callable[[Path], Path], tmp_path: Path) -> N
 
 @pytest.mark.parametrize("make", MAKERS, ids=lambda make: make.__name__.strip("_"))
 @given(data=st.data())
-@settings(max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 def test_damage_is_told_in_a_sentence(make: Callable[[Path], Path], data: st.DataObject) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -131,7 +131,7 @@ def test_damage_is_told_in_a_sentence(make: Callable[[Path], Path], data: st.Dat
 
 
 @given(st.binary(max_size=200))
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 def test_any_bytes_of_any_ending(content: bytes) -> None:
     with tempfile.TemporaryDirectory() as name:
         for file in ("a.npz", "a.npy", "train.h5", "a.tfrecord", "a.vtp", "a.pvd", "particles0.h5"):
