@@ -1,5 +1,6 @@
 """python train.py +experiment=NAME [key=value …]: generate the data where missing, train a simulator on them."""
 
+import sys
 from pathlib import Path
 
 import hydra
@@ -8,6 +9,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from gns_pl.errors import told_plainly
+from gns_pl.generation.stored import named_folder
 from gns_pl.training.resume import find_resume
 from gns_pl.training.sweep import sweep_reported
 
@@ -29,5 +31,6 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
+    sys.argv[1:] = named_folder(sys.argv[1:])
     with sweep_reported():
         main()

@@ -87,4 +87,4 @@ def test_networks_with_earlier_context_features_are_refused(which: str) -> None:
 
 
 def test_there_are_golden_checkpoints() -> None:
-    assert (GOLDEN / "format_1.ckpt").is_file() and (GOLDEN / "format_3.ckpt").is_file()
+    assert all((GOLDEN / f"format_{number}.ckpt").is_file() for number in (1, 3, 4))

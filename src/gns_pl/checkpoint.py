@@ -17,13 +17,14 @@ from typing import Any
 import torch
 
 from gns_pl.errors import InputError
+from gns_pl.frame_simulator import KINDS, FrameConfig, build_simulator
 from gns_pl.graph import Seen
 from gns_pl.io import atomic_path
 from gns_pl.pretrained import find_checkpoint
 from gns_pl.simulator import Simulator, SimulatorConfig
 
 KEY = "gns_pl"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 PREFIX = "simulator."
 
 
@@ -47,9 +48,11 @@ class Checkpoint:
 def checkpoint_entry(
     config: SimulatorConfig, data: Mapping[str, Any], provenance: Mapping[str, Any], seen: Seen | None = None
 ) -> dict[str, Any]:
-    """Return what the trainer stores under `KEY`, plain values and tensors only."""
-    entry = {
-        "format_version": FORMAT_VERSION,
+    """Return what the trainer stores under `KEY`, plain values and tensors only; the config tells the kind."""
+    entry: dict[str, Any] = {"format_version": 3}  # which earlier versions of gns_pl read as well
+    if isinstance(config, FrameConfig):
+        entry = {"format_version": 4, "kind": "frames"}
+    entry |= {
         "config": config.to_dict(),
         "data": dict(data),
         "provenance": dict(provenance),
@@ -105,7 +108,10 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
             f"{path}: was trained with other features of model.context (format {entry['format_version']}); "
             "train it anew."
         )
-    simulator = Simulator(SimulatorConfig.from_dict(entry["config"]))
+    kind = entry.get("kind", "simulator")
+    if kind not in KINDS:
+        raise InputError(f"{path}: holds a simulator of the unknown kind {kind!r}; install a newer gns_pl.")
+    simulator = build_simulator(KINDS[kind].from_dict(entry["config"]))
     weights = {
         name.removeprefix(PREFIX): value for name, value in content["state_dict"].items() if name.startswith(PREFIX)
     }

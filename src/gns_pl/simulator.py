@@ -135,13 +135,7 @@ class Simulator(nn.Module):
         self.register_buffer("acceleration_scale", torch.ones(()))
         self.register_buffer("material_scale", torch.stack([torch.zeros(features), torch.ones(features)]))
         shape: dict[str, Any] = {
-            "node_width": node_width(
-                dim=config.dim,
-                input_sequence_length=config.input_sequence_length,
-                num_particle_types=len(config.particle_types),
-                num_material_features=features,
-                context=config.context,
-            ),
+            "node_width": self.node_width(),
             "edge_width": edge_width(config.dim),
             "output_width": config.dim * (1 if config.output == "acceleration" else 2),
             "latent_size": config.latent_size,
@@ -155,6 +149,17 @@ class Simulator(nn.Module):
             self.network = EncodeProcessDecode(
                 **shape, aggregation=config.aggregation, static_edges=config.static_edges
             )
+
+    def node_width(self) -> int:
+        """Return the width of the node features."""
+        config = self.config
+        return node_width(
+            dim=config.dim,
+            input_sequence_length=config.input_sequence_length,
+            num_particle_types=len(config.particle_types),
+            num_material_features=len(config.material_features),
+            context=config.context,
+        )
 
     def set_statistics(self, *, velocity: float, acceleration: float, material: Tensor) -> None:
         """Set the normalisation.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -39,7 +41,6 @@ def test_free_fall_is_left_alone(drop: Scene) -> None:
 
 @pytest.mark.parametrize("thrown", [(0.0, 0.0, 2.0), (0.0, 0.0, -2.0), (1.0, 0.0, 0.0)])
 def test_energy_never_rises(drop: Scene, thrown: tuple[float, float, float]) -> None:
-    from dataclasses import replace
 
     scene = drop.replace(bodies=(replace(drop.bodies[0], velocity=thrown),))
     start = make_start(scene)
@@ -120,3 +121,24 @@ def test_who_sleeps_does_so_where_no_message_can_be_saved(column: Scene, pairs: 
     made = rollout(stabilise(simulator, sleep=100.0, step=step), start, 12).position
     np.testing.assert_array_equal(made[5:], np.repeat(made[5:6], len(made) - 5, axis=0))
     assert np.abs(made[4] - made[0]).max() > 0
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_obstacles_that_move_do_work(column: Scene, moves: bool) -> None:
+    """Where kinematic particles push, the energy may rise, so nothing is scaled; where they stand still, it is."""
+    torch.manual_seed(0)
+    simulator = make_simulator(particle_types=(3, 6))
+    for weights in simulator.network.parameters():
+        weights.data *= 3.0
+    start = make_start(column)
+    types = np.where(np.arange(start.num_particles) < 8, 3, 6)
+    script = np.repeat(start.position, 6, axis=0)
+    velocity = np.zeros_like(start.initial_velocity)
+    if moves:
+        script[:, :8, 0] += 0.01 * np.arange(6)[:, None]
+        velocity[:8, 0] = 1.0
+    start = replace(start, position=script, particle_type=types, initial_velocity=velocity)
+    plain = rollout(simulator, start, 5).position
+    stable = rollout(stabilise(simulator, passive=True), start, 5).position
+    np.testing.assert_array_equal(stable[:, :8], script[:, :8])
+    assert np.array_equal(stable, plain) is moves

@@ -16,6 +16,7 @@ from gns_pl.data.sampler import StepSampler
 from gns_pl.data.statistics import RunningStatistics, measure_motion
 from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
+from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_manifest, read_static, read_trajectory
 from gns_pl.trajectory import Trajectory
 
@@ -134,8 +135,10 @@ class TrajectoryDataModule(LightningDataModule):
         """Return the velocity's and the acceleration's over the training trajectories, at the step's stride."""
         total = {name: RunningStatistics(self.manifest.dim) for name in ("velocity", "acceleration")}
         for path in (self.directory / name for name in self.train_names):
-            start = read_static(path)["initial_velocity"]
-            for name, seen in measure_motion(path, read_header(path), start, stride=self.stride).items():
+            static, header = read_static(path), read_header(path)
+            moved = static["particle_type"] != int(ParticleType.KINEMATIC)
+            measured = measure_motion(path, header, static["initial_velocity"], stride=self.stride, moved=moved)
+            for name, seen in measured.items():
                 total[name].merge(seen)
         return total
 

@@ -74,7 +74,12 @@ class RunningStatistics:
 
 
 def measure_motion(
-    path: Path, header: TrajectoryHeader, initial_velocity: NDArray[np.floating], *, stride: int = 1
+    path: Path,
+    header: TrajectoryHeader,
+    initial_velocity: NDArray[np.floating],
+    *,
+    stride: int = 1,
+    moved: NDArray[np.bool_] | None = None,
 ) -> dict[str, RunningStatistics]:
     """Return the statistics of velocity and acceleration over a file, read block by block.
 
@@ -85,19 +90,21 @@ def measure_motion(
         header: of the file.
         initial_velocity: in the file [N, D] [m/s].
         stride: frames of the file in a step.
+        moved: [N] particles that count; kinematic ones would only tell their script. All if None.
 
     Returns:
         "velocity" [m/s] and "acceleration" [m/s²].
     """
     dim, dt, steps = header.dim, header.dt * stride, (header.num_frames - 1) // stride
     velocity, acceleration = RunningStatistics(dim), RunningStatistics(dim)
-    last = initial_velocity.astype(np.float64)[None]
+    chosen = slice(None) if moved is None or moved.all() else np.flatnonzero(moved)
+    last = initial_velocity.astype(np.float64)[None, chosen]
     velocity.update(last[0])
     block = max(1, BLOCK_BYTES // (8 * dim * header.num_particles * stride))
     with open_trajectory(path) as file:
         for start in range(0, steps, block):
             length = min(block, steps - start)
-            position = read_window(file, start * stride, length * stride + 1)[::stride].astype(np.float64)
+            position = read_window(file, start * stride, length * stride + 1)[::stride, chosen].astype(np.float64)
             velocities = np.diff(position, axis=0) / dt
             velocity.update(velocities.reshape(-1, dim))
             velocities = np.concatenate([last, velocities])

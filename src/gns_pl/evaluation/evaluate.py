@@ -174,9 +174,7 @@ def evaluate(
     checkpoint = load_checkpoint(checkpoint_path)
     config = checkpoint.simulator.config
     if split is None and "mpm" not in checkpoint.data:
-        raise InputError(
-            f"{checkpoint_path}: its data do not say by which MPM they were made, so nothing can be compared."
-        )
+        split = imported_split(checkpoint, checkpoint_path, wants_scenes=bool(scenes))
     stored = {} if split is None else chosen(stored_references(checkpoint, split), only, "evaluation.split")
     built = {name: each.trajectory.scene for name, each in stored.items()}
     if split is None:
@@ -193,7 +191,7 @@ def evaluate(
     move(checkpoint, device, "evaluation.device")
     results, files = {}, []
     for name, scene in built.items():
-        source = "MPM (computed once, then cached)" if split is None else "stored MPM"
+        source = "MPM (computed once, then cached)" if split is None else "the stored trajectory"
         print(f"{name}: {source} and the learned rollout …", flush=True)
         reference = stored.get(name) or reference_of(scene, checkpoint, cache=cache, seed=seed, cells=spread)
         result = judge_scene(name, reference, checkpoint, stabilise=stabilise, placements=placements, seed=seed)
@@ -216,6 +214,30 @@ def evaluate(
         files += draw_in_space(results, out, film=film, **animation)
     report.show(document)
     return document, files
+
+
+def imported_split(checkpoint: Checkpoint, path: Path, *, wants_scenes: bool) -> str:
+    """Return the split that speaks for imported data, which no solver of ours made: "test", or "valid" without tests.
+
+    Args:
+        checkpoint: what is evaluated.
+        path: of it, for messages.
+        wants_scenes: scenes were named.
+
+    Raises:
+        InputError: scenes, or data that are not there.
+    """
+    from gns_pl.io import read_manifest
+
+    if wants_scenes or "root" not in checkpoint.data:
+        raise InputError(
+            f"{path}: its data do not say by which MPM they were made, so nothing can be computed to compare with; "
+            "name trajectories of its data: evaluation.split=test"
+        )
+    splits = read_manifest(checkpoint.data["root"]).splits
+    split = "test" if splits["test"] else "valid"
+    print(f"Its data are imported, so it is judged on their {split} trajectories (evaluation.split={split}).")
+    return split
 
 
 def judge_scene(
@@ -251,8 +273,9 @@ def judge_scene(
     simulator = stabilised(checkpoint.simulator, **(stabilise or {}))
     truth = reference.trajectory
     with counting(f"{name}: learned rollout", truth.dt) as on_step:
-        learned = rollout(simulator, cut(truth, 1), truth.num_frames - 1, on_step=on_step)
-    learned = replace(learned, provenance={**learned.provenance, "stabilise": dict(stabilise or {})})
+        learned = rollout(simulator, truth, truth.num_frames - 1, on_step=on_step)
+    kept = {} if simulator is checkpoint.simulator else dict(stabilise or {})
+    learned = replace(learned, provenance={**learned.provenance, "stabilise": kept})
     finite = num_finite_frames(learned)
     failed_at = finite * learned.dt if finite < truth.num_frames else None
     failure = first_failure(cut(learned, finite))
@@ -261,7 +284,8 @@ def judge_scene(
     still, errors = compare(_motionless(truth), truth), compare(learned, truth)
     length, height = initial_extent(truth.scene)
     found = familiarity(checkpoint, trajectories["learned"])
-    starts = [start_of(truth.scene, checkpoint, number, {}) for number in range(seed, seed + placements)]
+    placed = 0 if "mpm" not in checkpoint.data else placements  # what is imported has bodies of any shape
+    starts = [start_of(truth.scene, checkpoint, number, {}) for number in range(seed, seed + placed)]
     duration = (truth.num_frames - 1) * truth.dt
     ends = (
         ensemble_bands([replace(checkpoint, simulator=simulator)], starts, duration=duration).members[:, -1].tolist()

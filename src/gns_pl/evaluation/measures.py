@@ -26,10 +26,9 @@ ARREST_TOLERANCE = 0.02
 
 
 def particle_spacing(trajectory: Trajectory) -> float:
-    """Return s = (V / N)^(1/D) [m], with V the volume of all bodies and N the particles that fill them."""
-    scene = trajectory.scene
-    volume = sum(math.prod(body.size) for body in scene.bodies)
-    return float((volume / trajectory.num_particles) ** (1 / scene.dim))
+    """Return s = (V / N)^(1/D) [m], with V the volume that the N particles stand for: of all bodies they fill."""
+    volume = float(trajectory.volume().sum(dtype=np.float64))
+    return float((volume / trajectory.num_particles) ** (1 / trajectory.scene.dim))
 
 
 def percentile_front(coordinate: Floats, mass: Floats, percents: Sequence[float], width: float) -> Floats:

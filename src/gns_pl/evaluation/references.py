@@ -14,7 +14,7 @@ from gns_pl.checkpoint import Checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation.measures import particle_spacing, sinkhorn_distance
 from gns_pl.evaluation.metrics import profile_l1, summarise
-from gns_pl.generation import DatasetSpec, chosen_every, reference_trajectory, thin_trajectory
+from gns_pl.generation import DatasetSpec, chosen_every, is_imported, reference_trajectory, thin_trajectory
 from gns_pl.generation.records import stored_folders
 from gns_pl.io import read_manifest, read_trajectory
 from gns_pl.scene import Scene
@@ -108,9 +108,13 @@ def stored_references(checkpoint: Checkpoint, split: str) -> dict[str, Reference
     data: Mapping[str, Any] = checkpoint.data
     if "root" not in data:
         raise InputError("evaluation.split: this checkpoint does not say where its data are; name scenes instead.")
-    folder = stored_folders(Path(data["root"]), DatasetSpec.from_dict(data))[chosen_every(data)]
+    imported = is_imported(data)
+    folder = Path(data["root"])
+    if not imported:
+        folder = stored_folders(folder, DatasetSpec.from_dict(data))[chosen_every(data)]
     if not (folder / "manifest.json").is_file():
-        raise InputError(f"evaluation.split: {folder} holds no data; make them: python generate.py data={data['name']}")
+        hint = "convert them again" if imported else f"make them: python generate.py data={data['name']}"
+        raise InputError(f"evaluation.split: {folder} holds no data; {hint}")
     manifest = read_manifest(folder)
     if split not in manifest.splits:
         raise InputError(f"evaluation.split must be one of {', '.join(manifest.splits)}, not {split!r}.")

@@ -147,7 +147,10 @@ def describe_mpm(scene: Mapping[str, Any]) -> str:
         parts.append(f"{config['precision']}, steps of {made['time_step']:.2e} s")
     if "num_threads" in made:
         parts.append(f"{made['num_threads']} threads of {made.get('machine', 'an unknown machine')}")
+    solver = str(made.get("solver", ""))
     text = f"MPM: {'; '.join(parts) or 'settings unknown'}."
+    if solver.startswith("imported"):
+        text = f"Reference: {solver}, {made.get('source', '')}."
     learned = scene["made_by"]["learned"]
     here = f"{learned.get('num_threads', '?')} threads of {learned.get('machine', 'an unknown machine')}"
     text += f" Learned: {learned.get('device', 'cpu')}, {here}."

@@ -2,13 +2,14 @@
 
 `spec` reads the specification and draws the scenes, `solver` runs one of them, `thinning` keeps every k-th point of a
 fine one, `produce` makes the files of one, `pool` runs many at once on the CPU and `batches` on a GPU, `dataset` does
-all of it safely and `reference` keeps single runs. No learning happens here, and the solver is imported only when there
-is something to simulate.
+all of it safely, `stored` finds what is there already, and `reference` keeps single runs. No learning happens here, and
+the solver is imported only when there is something to simulate.
 """
 
 from gns_pl.generation.dataset import generate_dataset
 from gns_pl.generation.reference import reference_trajectory
 from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
+from gns_pl.generation.stored import find_dataset, is_imported, named_folder, resolved_data
 from gns_pl.generation.thinning import thin_trajectory
 
 __all__ = [
@@ -16,7 +17,11 @@ __all__ = [
     "Planned",
     "chosen_every",
     "draw_plan",
+    "find_dataset",
     "generate_dataset",
+    "is_imported",
+    "named_folder",
     "reference_trajectory",
+    "resolved_data",
     "thin_trajectory",
 ]

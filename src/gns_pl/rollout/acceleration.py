@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
+from gns_pl.frame_simulator import FrameSimulator
 from gns_pl.graph import NeighbourList, Static
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.nn.encode_process_decode import FUSED_WIDTHS, has_triton
@@ -55,6 +56,8 @@ def accelerate(
         raise InputError(f"acceleration.precision must be one of {', '.join(PRECISIONS)}, not {precision!r}.")
     if captured and (skin or compiled):
         raise InputError("acceleration.captured stands alone: with skin=0 and compiled=false.")
+    if captured and isinstance(simulator, FrameSimulator):
+        raise InputError("acceleration.captured knows no edges from a particle to itself, which this simulator has.")
     if captured and not can_capture(simulator):
         raise InputError(
             f"acceleration.captured needs a GPU with Triton, a latent_size of {', '.join(map(str, FUSED_WIDTHS))}, and "

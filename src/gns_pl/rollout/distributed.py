@@ -19,6 +19,7 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
+from gns_pl.frame_simulator import FrameSimulator
 from gns_pl.graph import Static, radius_graph
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.simulator import Simulator
@@ -81,6 +82,8 @@ class SlabSimulator:
         self.group, self.rank, self.size = group, dist.get_rank(group), dist.get_world_size(group)
         self.slab: Slab | None = None
         self.simulator = copy.copy(simulator)
+        if isinstance(simulator, FrameSimulator):
+            raise InputError("several processes share no run with edges from a particle to itself, as this one has.")
         network = copy.copy(simulator.network)
         if not isinstance(network, EncodeProcessDecode):
             raise InputError("several processes share the edges of a run by their receivers; output=pairs has no such.")

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
+from gns_pl.frame_simulator import FrameSimulator
 from gns_pl.graph import Static, radius_graph
 from gns_pl.rollout.rest import SleepingStep
 from gns_pl.simulator import Simulator
@@ -38,6 +39,8 @@ def stabilise(
 ) -> Simulator:
     """Return a simulator that makes the same steps, where these stay within what sand can do.
 
+    A simulator in frames comes back as it is: its steps are those of another program, and equal to them.
+
     Args:
         simulator: stays as it is; may be one of `acceleration.accelerate`, which goes first.
         sleep: particles slower than this for some steps, their neighbours too, stay where they are (`rest`) [m/s].
@@ -56,6 +59,8 @@ def stabilise(
         raise InputError(f"stabilise.least_distance must lie in [0, 1) spacings, not {least_distance}.")
     if not sleep >= 0:
         raise InputError(f"stabilise.sleep must be a speed of 0 or more, not {sleep}.")
+    if isinstance(simulator, FrameSimulator) and step is None:
+        return simulator
     if sleep:
         step = SleepingStep(simulator, sleep, step=step)
     if step is None and not (largest_force or least_distance or passive):
@@ -128,7 +133,8 @@ class StableStep:
         """Scale the velocities of scenes whose energy rose, by the largest s in [0, 1] with E(s) ≤ E_before.
 
         E(s) = Σ m (s² v²/2 − g · (x + s v Δt/2)) is quadratic in s: the energy in the middle of the step, which free
-        fall keeps. Particles weigh what they fill, exact for one density; a halt is what is left where no s does.
+        fall keeps. Particles weigh what they fill, exact for one density; a halt is what is left where no s does. Where
+        kinematic particles move they do work, and nothing is scaled.
         """
         dt, before, earlier = self.simulator.config.dt, history[:, -1], history[:, -2]
         gravity, weight = static.of_particles(static.gravity), static.volume
@@ -141,7 +147,9 @@ class StableStep:
         allowed = there * (1 + ROUNDING) - height
         root = (linear.square() + 4 * quadratic * allowed).clamp_min(0).sqrt()
         factor = ((root - linear) / (2 * quadratic).clamp_min(1e-30)).clamp(0, 1)
-        factor = static.of_particles(torch.where(quadratic + linear <= allowed, 1.0, factor)[:, None])
+        pushed = self._sum(weight, past.square().sum(1) * ~static.moved, static) > 0
+        factor = torch.where(pushed | (quadratic + linear <= allowed), 1.0, factor)
+        factor = static.of_particles(factor[:, None])
         return torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
 
     @staticmethod

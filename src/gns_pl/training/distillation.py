@@ -9,6 +9,7 @@ from torch import Tensor
 
 from gns_pl.checkpoint import load_checkpoint
 from gns_pl.errors import InputError
+from gns_pl.frame_simulator import FrameConfig, FrameSimulator
 from gns_pl.graph import Static
 from gns_pl.pretrained import find_checkpoint
 from gns_pl.simulator import Simulator, SimulatorConfig
@@ -45,6 +46,8 @@ class Elder:
         if not find_checkpoint(path).is_file():
             raise InputError(f"training.distil_from: there is no checkpoint {path}.")
         simulator = load_checkpoint(path).simulator
+        if isinstance(simulator, FrameSimulator) or isinstance(config, FrameConfig):
+            raise InputError("training.distil_from: simulators in frames give other accelerations, so none has a part.")
         for name in SAME:
             ours, theirs = getattr(config, name), getattr(simulator.config, name)
             if ours != theirs and not (isinstance(ours, float) and abs(ours - theirs) < 1e-6 * ours):

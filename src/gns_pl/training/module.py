@@ -13,9 +13,9 @@ from torch_geometric.data import Data
 
 from gns_pl.checkpoint import KEY, checkpoint_entry
 from gns_pl.evaluation.metrics import rollout_errors
+from gns_pl.frame_simulator import build_simulator, simulator_config
 from gns_pl.graph import Draws, Seen, Static
 from gns_pl.rollout import rollout
-from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.training.clock import Stopwatch
 from gns_pl.training.distillation import Elder
 from gns_pl.training.optimiser import MuonAndAdamW
@@ -51,7 +51,7 @@ class SimulatorModule(LightningModule):
     """Trains a `Simulator` on windows and validates it by rollouts.
 
     Args:
-        model: `SimulatorConfig` as a dict.
+        model: `SimulatorConfig` as a dict, with "kind" if it is another than the usual simulator.
         data: specification of the data, stored in the checkpoint.
         optimisation: `Optimisation` as a dict.
         perturbation: `Perturbation` as a dict.
@@ -75,7 +75,7 @@ class SimulatorModule(LightningModule):
     ) -> None:
         super().__init__()
         self.save_hyperparameters(logger=False, ignore=["elder"])
-        self.simulator = Simulator(SimulatorConfig.from_dict(model))
+        self.simulator = build_simulator(simulator_config(model))
         self.perturb = Perturbation(**perturbation)
         self.optimisation = optimisation
         self.data = data

@@ -24,10 +24,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
-from gns_pl.generation import generate_dataset
+from gns_pl.frame_simulator import FrameSimulator, simulator_config
+from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.nn.memory import keep_freed_memory
-from gns_pl.simulator import SimulatorConfig
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
 from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
 from gns_pl.training.clock import cost_of
@@ -62,6 +62,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     training = TrainingConfig.from_dict(settings["training"])
     check_model(settings["model"])
+    settings["data"] = resolved_data(settings["data"])
     steps = training.optimisation.num_steps
     if resume is not None and steps_made(resume, settings) >= steps:
         print(f"{resume} has made its {steps} steps already; nothing is left to train.")
@@ -71,7 +72,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     check_devices(trainer, training.batch_size)
     with together(trainer), alone_in(output) if is_rank_zero() else nullcontext():
         seed_everything(settings["seed"], workers=True, verbose=False)
-        directory = generate_dataset(settings["data"], device="auto", progress=is_rank_zero())
+        directory = find_dataset(settings["data"], progress=is_rank_zero())
         datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
         module = build_module(settings, training, datamodule)
         try:
@@ -184,7 +185,7 @@ def choose_features(wanted: Sequence[str] | None, available: Sequence[str]) -> l
 def check_model(model: Mapping[str, Any]) -> None:
     """Raise an `InputError` for a model that no data could make valid."""
     data = {"dim": 3, "dt": 1.0, "spacing": 1.0, "particle_types": (), "material_features": ()}
-    SimulatorConfig.from_dict({**model, **data})
+    simulator_config({**model, **data})
 
 
 def build_data(directory: Path, training: TrainingConfig, length: int, seed: int) -> TrajectoryDataModule:
@@ -234,7 +235,7 @@ def build_module(
     }
     model, elder = {**settings["model"], **of_data}, None
     if training.distil_from is not None:
-        elder = Elder.read(training.distil_from, training.distil_share, SimulatorConfig.from_dict(model))
+        elder = Elder.read(training.distil_from, training.distil_share, simulator_config(model))
     module = SimulatorModule(
         model=model,
         data=settings["data"],
@@ -249,8 +250,13 @@ def build_module(
         moments = manifest.statistics
     else:
         moments = {name: seen.to_dict() for name, seen in datamodule.statistics().items()}
-    scales = statistics(moments, of_data["dt"], settings["data"]["gravity"], training.perturbation.noise_std)
-    module.simulator.set_statistics(**scales, material=material_scale(datamodule, len(of_data["material_features"])))
+    noise_std = training.perturbation.noise_std
+    if isinstance(module.simulator, FrameSimulator):
+        module.simulator.set_frame_statistics(moments, of_data["dt"], noise_std)
+    else:
+        scales = statistics(moments, of_data["dt"], settings["data"]["gravity"], noise_std)
+        material = material_scale(datamodule, len(of_data["material_features"]))
+        module.simulator.set_statistics(**scales, material=material)
     module.seen = measure_seen(
         module.simulator,
         datamodule.train_set,

@@ -10,10 +10,10 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.survey import survey_dataset
-from gns_pl.generation import DatasetSpec, chosen_every, generate_dataset
+from gns_pl.frame_simulator import simulator_config
+from gns_pl.generation import DatasetSpec, chosen_every, generate_dataset, is_imported, resolved_data
 from gns_pl.generation.records import first_difference
 from gns_pl.io import MANIFEST_NAME, Manifest, read_manifest
-from gns_pl.simulator import SimulatorConfig
 from gns_pl.training.advice import report
 from gns_pl.training.advice.numbers import compute_advice
 from gns_pl.training.advice.suggestions import suggest
@@ -39,10 +39,11 @@ def advise(cfg: DictConfig, output: Path) -> Path:
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     training = TrainingConfig.from_dict(settings["training"])
     check_model(settings["model"])
+    settings["data"] = resolved_data(settings["data"])
     directory = find_dataset(settings["data"])
     manifest = read_manifest(directory)
     names = manifest.splits["train"][: training.num_train]
-    model = SimulatorConfig.from_dict({**settings["model"], **_of_data(manifest, settings["model"])})
+    model = simulator_config({**settings["model"], **_of_data(manifest, settings["model"])})
     survey = survey_dataset(directory, manifest, names, radius=model.connectivity_radius)
     advice = compute_advice(
         survey, model, training, memory=machine_memory(), gravity=float(settings["data"]["gravity"])
@@ -80,7 +81,9 @@ def find_notes(directory: Path, manifest: Manifest, settings: Mapping[str, Any],
         training: conf/training.
     """
     notes = []
-    difference = first_difference(dict(manifest.spec), DatasetSpec.from_dict(settings["data"]).to_dict())
+    difference = None
+    if not is_imported(settings["data"]):
+        difference = first_difference(dict(manifest.spec), DatasetSpec.from_dict(settings["data"]).to_dict())
     if difference is not None:
         notes.append(f"{directory} was not made from these data settings ({difference}), so training would refuse it.")
     number = len(manifest.splits["train"])

@@ -1,0 +1,276 @@
+"""What a foreign set leaves open, worked out from its motion, taken from the user, or asked for in one sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gns_pl.conversion.sample import Sample, seen_spacing, take_sample
+from gns_pl.data.probes import measure_gravity
+from gns_pl.errors import InputError
+from gns_pl.io.convert import ForeignSet
+
+EARTH = 9.81
+"""Gravity that tells metres from other units [m/s²]."""
+METRES = 0.03
+"""Free fall within this share of it is in metres and seconds."""
+SI_KINDS = ("CB-Geo MPM", "gns_pl")
+"""Sources that are in SI units by their own definition."""
+AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the user says, in the source's units and axes; None leaves it to the source.
+
+    Attributes:
+        dt: time between frames [s].
+        scale: metres in the source's unit of length.
+        gravity: magnitude [m/s²].
+        gravity_axis: "x", "y", "z", or the number of the axis.
+        lower: lower corner of the box [D].
+        upper: upper corner of the box [D].
+        spacing: of neighbouring particles.
+        types: particle types of the source → ours, where they differ.
+    """
+
+    dt: float | None = None
+    scale: float | None = None
+    gravity: float | None = None
+    gravity_axis: str | int | None = None
+    lower: tuple[float, ...] | None = None
+    upper: tuple[float, ...] | None = None
+    spacing: float | None = None
+    types: Mapping[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("dt", "scale", "spacing"):
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and 0 < value < math.inf):
+                raise InputError(f"{name} must be a positive number, not {value!r}.")
+        if self.gravity is not None and not (_is_number(self.gravity) and 0 <= self.gravity < math.inf):
+            raise InputError(f"gravity must be its magnitude, a number that is not negative, not {self.gravity!r}.")
+        for name in ("lower", "upper"):
+            value = getattr(self, name)
+            if value is not None:
+                if isinstance(value, str) or not all(map(_is_number, value)):
+                    raise InputError(f"{name} must be a list of numbers, not {value!r}.")
+                object.__setattr__(self, name, tuple(map(float, value)))
+        try:
+            types = {int(key): int(value) for key, value in dict(self.types or {}).items()}
+        except (TypeError, ValueError):
+            raise InputError(f"types must map numbers to numbers, as types={{0:6}}, not {self.types!r}.") from None
+        object.__setattr__(self, "types", types)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """All that is needed to bring a source into SI units, gravity along the last axis.
+
+    Attributes:
+        dt: time between frames [s].
+        scale: metres in the source's unit.
+        axes: axis of the source that becomes each of ours; cyclic, so that nothing is mirrored.
+        lower: lower corner of the box, ours [D] [m].
+        upper: upper corner of the box, ours [D] [m].
+        gravity: acceleration, ours [D] [m/s²].
+        spacing: of neighbouring particles [m].
+        types: particle types of the source → ours.
+        notes: what was worked out and how, sentences.
+    """
+
+    dt: float
+    scale: float
+    axes: tuple[int, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    gravity: tuple[float, ...]
+    spacing: float
+    types: Mapping[int, int]
+    notes: tuple[str, ...]
+
+    @property
+    def dim(self) -> int:
+        """D."""
+        return len(self.axes)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What could be found out.
+
+    Attributes:
+        facts: all of it; None while something is asked for.
+        asks: what is missing, sentences with the arguments to give.
+        values: name → what is known of the facts, for a report.
+        notes: what was worked out and how.
+    """
+
+    facts: Facts | None
+    asks: tuple[str, ...]
+    values: Mapping[str, Any]
+    notes: tuple[str, ...]
+
+
+def work_out(found: ForeignSet, given: Given) -> Facts:
+    """Return all facts of a source.
+
+    Raises:
+        InputError: something is neither stated, nor seen in the motion, nor given; the sentence says what to add.
+    """
+    findings = find_out(found, given)
+    if findings.facts is None:
+        raise InputError(f"{found.path}: {'; '.join(findings.asks)}.")
+    return findings.facts
+
+
+def find_out(found: ForeignSet, given: Given) -> Findings:
+    """Return what is stated, given, or seen in a sample of the motion, and what has to be asked for.
+
+    Raises:
+        InputError: recordings that cannot be read, periodic axes, or values that contradict each other.
+    """
+    stated, sample = found.stated, take_sample(found, given.types)
+    if any(stated.periodic):
+        raise InputError(f"{found.path}: is periodic along an axis, and gns_pl knows walls only.")
+    dim, asks, notes = sample.dim, [], list(stated.notes)
+    dt = given.dt or stated.dt
+    if dt is None:
+        asks.append("the time between frames is not stated: give dt=0.0025, in seconds")
+    axis, magnitude = _gravity(found, given, sample, dt, notes)
+    scale = _scale(found, given, magnitude, asks, notes)
+    if axis is None and dt is not None:
+        asks.append(
+            "the direction of gravity is not stated and cannot be seen, since nothing falls freely: give gravity_axis="
+            f"{AXES[dim][-1]} gravity=9.81 scale=1"
+        )
+    lower, upper = given.lower or stated.lower, given.upper or stated.upper
+    if lower is None or upper is None:
+        seen = (_listed(sample.lower), _listed(sample.upper))
+        asks.append(f"the box is not stated; the particles lie between {seen[0]} and {seen[1]}: give lower=… upper=…")
+    elif len(lower) != dim or len(upper) != dim or any(a >= b for a, b in zip(lower, upper, strict=True)):
+        raise InputError(f"{found.path}: a box from {list(lower)} to {list(upper)} does not fit {dim} dimensions.")
+    spacing = given.spacing or stated.spacing or seen_spacing(sample)
+    if spacing is None:
+        asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
+    gravity = given.gravity
+    if gravity is None and magnitude is not None and scale is not None:
+        gravity = magnitude * scale if found.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
+    if axis is not None and gravity is None and scale is not None:
+        asks.append("how strong gravity is, is not stated and cannot be seen: give gravity=9.81")
+    values = {"dt": dt, "scale": scale, "axis": axis, "gravity": gravity, "lower": lower, "upper": upper,
+              "spacing": spacing, "dim": dim}  # fmt: skip
+    known = (dt, scale, axis, gravity, lower, upper, spacing)
+    if asks or any(value is None for value in known):
+        return Findings(None, tuple(asks), values, tuple(notes))
+    assert dt and scale and axis is not None and gravity is not None and lower and upper and spacing
+    axes = turned_axes(axis, dim)
+    if axis != dim - 1:
+        names = ", ".join("xyz"[each] for each in axes)
+        notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
+    vector = _vector(found, axes, gravity)
+    facts = Facts(
+        dt=float(dt),
+        scale=float(scale),
+        axes=axes,
+        lower=tuple(lower[each] * scale for each in axes),
+        upper=tuple(upper[each] * scale for each in axes),
+        gravity=vector,
+        spacing=float(spacing * scale),
+        types=given.types,
+        notes=tuple(notes),
+    )
+    return Findings(facts, (), values, tuple(notes))
+
+
+def turned_axes(axis: int, dim: int) -> tuple[int, ...]:
+    """Return the axes of a source in the order of ours, its vertical one last; in turn, so that nothing is mirrored."""
+    return tuple((axis + 1 + k) % dim for k in range(dim))
+
+
+def _vector(found: ForeignSet, axes: tuple[int, ...], gravity: float) -> tuple[float, ...]:
+    """Return the acceleration of gravity along our axes [D] [m/s²]: stated inclined, it stays so."""
+    stated = found.stated.gravity
+    if stated is not None and math.isclose(math.hypot(*stated), gravity, rel_tol=1e-6):
+        return tuple(stated[each] for each in axes)
+    return (*[0.0] * (len(axes) - 1), -gravity)
+
+
+def _gravity(
+    found: ForeignSet, given: Given, sample: Sample, dt: float | None, notes: list[str]
+) -> tuple[int | None, float | None]:
+    """Return the axis of gravity and its magnitude in the source's units, as stated or as free fall shows it."""
+    axis = None if given.gravity_axis is None else axis_number(given.gravity_axis, sample.dim)
+    if found.stated.gravity is not None and len(found.stated.gravity) == sample.dim:
+        vector = np.array(found.stated.gravity)
+        axis = int(np.abs(vector).argmax()) if axis is None else axis
+        if vector[axis] > 0:
+            raise InputError(f"{found.path}: gravity points upwards along its axis; mirror the data first.")
+        return axis, float(np.linalg.norm(vector))
+    if dt is None or not sample.windows:
+        return axis, None
+    rounding = float(np.finfo(np.float32).eps * max(np.abs(sample.lower).max(), np.abs(sample.upper).max()) / dt**2)
+    second = [np.diff(window, n=2, axis=0) / dt**2 for window in sample.windows]
+    acceleration = np.concatenate([each[1] for each in second])
+    previous = np.concatenate([each[0] for each in second])
+    best: tuple[int, int, float, int] | None = None
+    for candidate in range(sample.dim) if axis is None else (axis,):
+        order = [each for each in range(sample.dim) if each != candidate] + [candidate]
+        for sign in (1, -1):
+            size, falls = measure_gravity(sign * acceleration[:, order], sign * previous[:, order], rounding)
+            if math.isfinite(size) and (best is None or falls.sum() > best[0]):
+                best = (int(falls.sum()), candidate, size, sign)
+    if best is None:
+        return axis, None
+    count, axis, size, sign = best
+    if sign < 0:
+        raise InputError(f"{found.path}: particles fall upwards along axis {axis}; mirror that axis first.")
+    share = count / len(acceleration)
+    notes.append(f"gravity is {size:.4g} length units/s² along axis {axis}, by the {share:.0%} that fall freely")
+    return axis, size
+
+
+def _scale(found: ForeignSet, given: Given, magnitude: float | None, asks: list[str], notes: list[str]) -> float | None:
+    if given.scale is not None or found.kind in SI_KINDS:
+        return given.scale or 1.0
+    earth = given.gravity or EARTH
+    if magnitude is None:
+        if given.gravity_axis is not None or given.gravity is not None:
+            asks.append("the unit of length is not stated and nothing falls freely: give scale=1, its length in metres")
+        return None
+    if abs(magnitude / earth - 1) < METRES:
+        notes.append("the unit of length is the metre, as free fall shows")
+        return 1.0
+    asks.append(
+        f"free fall is {magnitude:.4g} units/s², so the unit of length is not the metre: give "
+        f"scale={earth / magnitude:.4g} if gravity was {earth:g} m/s², or scale=1 to keep the numbers"
+    )
+    return None
+
+
+def axis_number(wanted: str | int, dim: int) -> int:
+    """Return the number of an axis that is named or numbered; in two dimensions z is the second.
+
+    Raises:
+        InputError: no axis.
+    """
+    names = {name: number for number, name in enumerate("xyz"[:dim])}
+    if dim == 2:
+        names["z"] = 1
+    number = wanted if isinstance(wanted, int) else names.get(wanted)
+    if isinstance(wanted, bool) or number is None or not 0 <= number < dim:
+        raise InputError(f"gravity_axis must be one of {', '.join(names)}, not {wanted!r}.")
+    return number
+
+
+def _listed(values: NDArray[np.float64]) -> list[float]:
+    return [float(f"{value:.4g}") for value in values]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

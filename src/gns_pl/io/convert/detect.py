@@ -1,0 +1,119 @@
+"""Which format a path is in, by what lies there and not by what the user has to know."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import h5py
+
+from gns_pl.errors import InputError
+from gns_pl.io import MANIFEST_NAME
+from gns_pl.io.convert import cb_geo, geoelements, lagrangebench
+from gns_pl.io.convert.arrays import open_arrays
+from gns_pl.io.convert.groups import group_names
+from gns_pl.io.convert.learning_to_simulate import open_learning_to_simulate
+from gns_pl.io.convert.npy import members, open_member
+from gns_pl.io.convert.ours import open_ours
+from gns_pl.io.convert.source import ForeignSet, reading
+from gns_pl.io.convert.vtk import ENDINGS, open_vtk
+from gns_pl.io.schema import FORMAT_NAME
+
+MOST_FILES = 1_000_000
+
+
+def open_set(
+    source: str | Path, *, trust: bool = False, deck: str | Path | None = None, lost: str = "refuse"
+) -> ForeignSet:
+    """Return what a path holds, whatever format it is in.
+
+    Args:
+        source: file or folder.
+        trust: read pickled arrays of geoelements/gns, without running anything that stands in them.
+        deck: JSON input of a CB-Geo MPM run; None looks for it.
+        lost: what to do with particles that left CB-Geo's mesh: "refuse" the run, or "drop" them from all frames.
+
+    Raises:
+        InputError: nothing there, or nothing that is known; the path is named.
+    """
+    path = Path(source)
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file or folder.")
+    if path.is_dir() and (path / MANIFEST_NAME).is_file():
+        return open_ours(path)
+    folders = _runs(path)
+    if folders:
+        return cb_geo.open_cb_geo(path, folders, deck=None if deck is None else Path(deck), lost=lost)
+    files = _files(path)
+    for ending, known in ((".tfrecord", open_learning_to_simulate), (".pvd", open_vtk)):
+        if files.get(ending):
+            return known(path, files[ending])
+    frames = [file for ending in ENDINGS for file in files.get(ending, [])]
+    if frames:
+        return open_vtk(path, sorted(frames))
+    if files.get(".h5"):
+        return _open_hdf5(path, files[".h5"])
+    archives = files.get(".npz", [])
+    if archives and _holds_sets(archives[0]):
+        return geoelements.open_geoelements(path, archives, trust=trust)
+    arrays = sorted([*archives, *files.get(".npy", [])])
+    if arrays:
+        return open_arrays(path, arrays)
+    raise InputError(
+        f"{path}: holds none of the formats that are known: geoelements/gns (.npz, .h5), LagrangeBench (.h5), DeepMind "
+        "(.tfrecord), CB-Geo MPM (particles….h5), VTK (.pvd, .vtp, .vtu), plain arrays (.npy, .npz) and gns_pl's own."
+    )
+
+
+def _runs(path: Path) -> list[Path]:
+    """Return the folders of CB-Geo runs: a folder itself, or those in it."""
+    if not path.is_dir():
+        return []
+    if cb_geo.is_run(path):
+        return [path]
+    return [each for each in sorted(path.iterdir()) if each.is_dir() and cb_geo.is_run(each)]
+
+
+def _files(path: Path) -> dict[str, list[Path]]:
+    """Return ending → files of a folder, one level of folders in it among them, or a file alone."""
+    if path.is_file():
+        return {path.suffix: [path]}
+    found: dict[str, list[Path]] = {}
+    for count, file in enumerate(sorted([*path.glob("*"), *path.glob("*/*")])):
+        if count > MOST_FILES:
+            raise InputError(f"{path}: has more than {MOST_FILES:,} files.")
+        if file.is_file() and not file.name.startswith("."):
+            found.setdefault(file.suffix, []).append(file)
+    order = {"train": 0, "valid": 1, "test": 2}
+    return {ending: sorted(files, key=lambda file: (order.get(file.stem, 3), file)) for ending, files in found.items()}
+
+
+def _open_hdf5(path: Path, files: list[Path]) -> ForeignSet:
+    first = files[0]
+    with reading(first):
+        with h5py.File(first, "r", locking=False) as file:
+            own = file.attrs.get("format") == FORMAT_NAME
+        if own and path.is_file():
+            return open_ours(path)
+        if own:
+            raise InputError(
+                f"is a trajectory of gns_pl, but {path} has no {MANIFEST_NAME}; name the files one by one."
+            )
+        if group_names(first, lagrangebench.POSITION):
+            return lagrangebench.open_lagrangebench(path, files)
+        if group_names(first, "positions"):
+            return geoelements.open_geoelements(path, files, trust=False)
+        raise InputError("is HDF5, but has no groups with position (LagrangeBench) or positions (geoelements/gns).")
+
+
+def _holds_sets(archive: Path) -> bool:
+    """Return whether an .npz is of geoelements/gns: pickled trajectories, or one array of all."""
+    with reading(archive):
+        found = members(archive)
+        if geoelements.WHOLE in found:
+            return True
+        with zipfile.ZipFile(archive) as opened:
+            for member in found.values():
+                with open_member(opened, member) as (_, header, _):
+                    return bool(header.dtype.hasobject)
+    return False

@@ -1,0 +1,45 @@
+"""No size that a foreign file claims is believed: it is compared with what is stored and with the memory there is."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from gns_pl.errors import InputError
+
+LARGEST_RATIO = 1100
+"""Deflate, zlib and HDF5's gzip never shrink anything by more than 1032 times."""
+
+
+def check_claim(claimed: int, stored: int, what: str, *, ratio: int = 1) -> None:
+    """Raise an `InputError` where a header claims more than its file can hold.
+
+    Args:
+        claimed: bytes after unpacking.
+        stored: bytes in the file.
+        what: the claimant, for the message.
+        ratio: by which the file's compression may have shrunk it; 1 for none.
+    """
+    if claimed < 0 or claimed > stored * ratio:
+        raise InputError(
+            f"{what} claims {claimed:,} bytes, but only {stored:,} are stored; it is damaged or made to harm."
+        )
+
+
+def check_memory(needed: int, what: str) -> None:
+    """Raise an `InputError` where more bytes would have to be in memory at once than are free."""
+    free = free_memory()
+    if needed > free:
+        raise InputError(
+            f"{what} needs {needed / 1e9:.3g} GB in memory at once and {free / 1e9:.3g} GB are free; split it, or take "
+            "a larger machine."
+        )
+
+
+def free_memory() -> int:
+    """Return the bytes that can still be used; all of the machine's where the system does not say more."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration, ValueError):
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
