@@ -17,8 +17,8 @@ from tests.conftest import MPM, SAND, make_simulator
 WALL = {"condition": "friction", "friction": 0.385}
 SAND_2D = {"gravity": 9.81, "material": {**vars(SAND)}, "walls": dict.fromkeys(FACES[3], WALL)}
 SETTINGS = {
-    "logger": None, "stabilise": {}, "seed": 5, "axes": ["tilt"], "figures": False, "device": "cpu", "dim": 2,
-    "interval": 0.02, "sand": SAND_2D, "mpm": {**MPM, "cell_size": 0.1}, "only": None,
+    "logger": None, "stabilise": {}, "seed": 5, "axes": ["tilt"], "label": None, "figures": False,
+    "device": "cpu", "dim": 2, "interval": 0.02, "sand": SAND_2D, "mpm": {**MPM, "cell_size": 0.1}, "only": None,
     "variants": {"mpm": {}, "fast": {"courant": 6.0, "allow_large_courant": True}},
 }  # fmt: skip
 
@@ -56,10 +56,14 @@ def test_a_simulator_that_makes_energy_fails_and_less_so_when_it_is_kept_from_it
     save_checkpoint(path, Checkpoint(simulator, data, {"steps": 0}))
     wild = stress(tmp_path, {"wild": path}, axes=["speed"])["wild"]
     assert wild["failed"] >= 8
-    calm = stress(tmp_path, {"wild": path}, axes=["speed"], stabilise={"passive": True, "least_distance": 0.2})["wild"]
+    stable = {"stabilise": {"passive": True, "least_distance": 0.2}, "label": " stable"}
+    calm = stress(tmp_path, {"wild": path}, axes=["speed"], **stable)["wild stable"]
     assert calm["failed"] < wild["failed"]
     rows = read_rows(tmp_path / "out" / "stress.csv")
-    assert len({row.identity for row in rows}) == 2  # both are kept
+    assert {row.model for row in rows} == {"wild", "wild stable"}  # both are kept
+    stress(tmp_path, {"wild": path}, axes=["speed"], stabilise={"passive": True})
+    again = [row for row in read_rows(tmp_path / "out" / "stress.csv") if row.model == "wild"]
+    assert len(again) == 10 and all("passive" in row.settings for row in again)  # in the place of what was
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from gns_pl.evaluation.stress.survival import survival
 
 def row(duration: float, failed_at: float = math.nan, **changes) -> Row:
     values = {
-        "model": "m", "identity": "1", "scene": f"s{duration}{failed_at}", "axis": "tilt", "value": "5", "inside": True,
-        "particles": 10, "steps": 5, "duration": duration, "kind": "" if math.isnan(failed_at) else "speed",
+        "model": "m", "identity": "1", "settings": "none", "scene": f"s{duration}{failed_at}", "axis": "tilt",
+        "value": "5", "inside": True, "particles": 10, "steps": 5, "duration": duration, "kind": "" if math.isnan(failed_at) else "speed",
         "failed_at": failed_at, "sentence": "" if math.isnan(failed_at) else "a particle, fast", "left_at": math.nan,
         "energy_rise": 0.0, "crowded": 0.0, "momentum": 0.0, "drift": math.nan, "drift_largest": math.nan,
         "seconds": 1.0,
@@ -62,7 +62,7 @@ def test_another_table_is_refused(tmp_path) -> None:
 
 
 def test_the_report_names_what_failed_within_the_data() -> None:
-    text = document([row(8.0, 2.0), row(6.0), row(8.0, 1.0, model="n", inside=False)], "Settings.")
+    text = document([row(8.0, 2.0), row(6.0), row(8.0, 1.0, model="n", inside=False)], 5)
     assert "- `m`, s8.02.0 (5), within its data: a particle, fast." in text
     assert "`n`, s" not in text
     assert "| tilt | 2 | 1 (from 2.0 τc) | 1 (from 1.0 τc) |" in text

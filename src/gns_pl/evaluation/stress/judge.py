@@ -60,6 +60,7 @@ def run_suite(
     stabilise: Mapping[str, Any],
     seed: int,
     axes: Sequence[str] | str | None,
+    label: str | None,
     figures: bool,
     device: str,
     dim: int,
@@ -69,7 +70,9 @@ def run_suite(
     variants: Mapping[str, Mapping[str, Any]],
     only: Sequence[str] | str | None,
 ) -> dict[str, dict[str, Any]]:
-    """Run the suite; what is in the folder's table already is not run again.
+    """Run the suite; what is in the folder's table already is not run again, and the report is of all that is in it.
+
+    Rows of a name that was run before with another file or other settings are replaced.
 
     Args:
         checkpoints: name → path of the learned simulators; none stresses the material point method.
@@ -79,6 +82,7 @@ def run_suite(
         stabilise: arguments of `rollout.stabilise.stabilise`.
         seed: of the scenes and placements.
         axes: names of those to run; None runs all.
+        label: added to the names of what is stressed, to tell settings of one checkpoint apart; None adds nothing.
         figures: draw the survival curves.
         device: of learned simulators, "auto" or as torch names it.
         dim: D of the material point method's scenes.
@@ -100,43 +104,36 @@ def run_suite(
     make_folder(out)
     table = out / "stress.csv"
     rows = report.read_rows(table)
-    known = {(row.identity, row.scene): row for row in rows}
-    wanted, names = [], []
     if checkpoints:
-        subjects = _learned(checkpoints, device, stabilise, seed)
+        subjects = _learned(checkpoints, device, stabilise, seed, label or "")
     else:
         subjects = _solved(variants, only, dim, interval, sand, mpm, seed)
     for subject in subjects:
-        names.append(subject.name)
+        rows = [row for row in rows if row.model != subject.name or row.identity == subject.identity]
+        known = {row.scene for row in rows if row.identity == subject.identity}
         dim = subject.checkpoint.simulator.config.dim if subject.checkpoint else dim
         scenes = list(stress_scenes(Sand.of(subject.data, dim, subject.interval), seed))
         for number, each in enumerate(scene for scene in scenes if scene.axis in axes):
-            row = known.get((subject.identity, each.scene.name))
-            if row is None:
+            if each.scene.name not in known:
                 print(f"\r{subject.name}: {each.scene.name} ({number + 1})\033[K", end="", flush=True)
-                row = run_scene(subject, each, seed=seed, cache=cache)
-                rows.append(row)
+                rows.append(run_scene(subject, each, seed=seed, cache=cache))
                 report.write_rows(table, rows)
-            wanted.append(row)
         print(f"\r{subject.name}: done\033[K", flush=True)
     files = [table, out / "stress.md"]
-    about = f"Scenes of seed {seed}, axes {', '.join(axes)}; " + (
-        f"stabilised by {json.dumps(dict(stabilise))}." if checkpoints else "the material point method."
-    )
-    files[1].write_text(report.document(wanted, about), encoding="utf-8")
+    files[1].write_text(report.document(rows, seed), encoding="utf-8")
     if figures:
-        files += report.draw(wanted, out)
-    print(report.summary_table(wanted))
+        files += report.draw(rows, out)
+    print(report.summary_table(rows))
     print("Made:", *files, sep="\n  ")
     if logger is not None:
-        print(f"  {tracking.log_stress(wanted, files, out=out, **logger)}")
+        print(f"  {tracking.log_stress(rows, files, out=out, **logger)}")
     return {
         name: {
             "scenes": len(some),
             "failed": sum(bool(row.kind) for row in some),
             "failed_inside": sum(bool(row.kind) and row.inside for row in some),
         }
-        for name, some in report.by_model(wanted).items()
+        for name, some in report.by_model(rows).items()
     }
 
 
@@ -144,7 +141,9 @@ def _identity(*parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:12]
 
 
-def _learned(checkpoints: Mapping[str, Path], device: str, stabilise: Mapping[str, Any], seed: int) -> Iterator[Any]:
+def _learned(
+    checkpoints: Mapping[str, Path], device: str, stabilise: Mapping[str, Any], seed: int, label: str
+) -> Iterator[Any]:
     from gns_pl.checkpoint import load_checkpoint, move
     from gns_pl.evaluation.stress.runs import Subject
     from gns_pl.io import file_sha256
@@ -156,7 +155,8 @@ def _learned(checkpoints: Mapping[str, Path], device: str, stabilise: Mapping[st
         simulator = stabilised(checkpoint.simulator, **stabilise)
         identity = _identity(file_sha256(path), dict(stabilise), seed)
         dt = checkpoint.simulator.config.dt
-        yield Subject(name, identity, checkpoint.data, dt, checkpoint, simulator)
+        settings = ", ".join(f"{key} {value:g}" for key, value in stabilise.items() if value) or "nothing"
+        yield Subject(name + label, identity, settings, checkpoint.data, dt, checkpoint, simulator)
 
 
 def _solved(
@@ -178,4 +178,5 @@ def _solved(
         settings = {**mpm, **(changes or {})}
         solver.solver_config(settings)  # refuses what no run could use
         data = {**sand, "walls": walls, "mpm": settings}
-        yield Subject(name, _identity(solver.solver_version(), data, dim, interval, seed), data, interval)
+        words = ", ".join(f"{key} {value}" for key, value in (changes or {}).items()) or "as tuned"
+        yield Subject(name, _identity(solver.solver_version(), data, dim, interval, seed), words, data, interval)

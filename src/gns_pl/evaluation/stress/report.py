@@ -100,9 +100,17 @@ def failures(rows: Sequence[Row]) -> str:
     return "\n".join(lines) or "None."
 
 
-def document(rows: Sequence[Row], settings: str) -> str:
-    """Return the whole report in Markdown."""
+def document(rows: Sequence[Row], seed: int) -> str:
+    """Return the whole report in Markdown.
+
+    Args:
+        rows: of all models.
+        seed: of the scenes.
+    """
+    settings = "\n".join(f"- `{name}`: {some[0].settings}" for name, some in by_model(rows).items())
     return f"""# Stress suite
+
+Scenes of seed {seed}. Learned runs stabilised by, or settings of the material point method that differ:
 
 {settings}
 

@@ -34,6 +34,7 @@ class Row:
     Attributes:
         model: name of what ran it.
         identity: of the model, its settings and the scene, by which a broken suite goes on.
+        settings: as `Subject`.
         scene: its name.
         axis: along which it is stressed.
         value: how far.
@@ -55,6 +56,7 @@ class Row:
 
     model: str
     identity: str
+    settings: str
     scene: str
     axis: str
     value: str
@@ -86,6 +88,7 @@ class Subject:
     Attributes:
         name: for tables and figures.
         identity: of its weights and settings.
+        settings: by which its runs are stabilised, or what differs from the usual ones, in words.
         data: the specification of its data, or at least of the sand and of the material point method.
         interval: between frames [s].
         checkpoint: a learned simulator; None for the material point method.
@@ -94,6 +97,7 @@ class Subject:
 
     name: str
     identity: str
+    settings: str
     data: Mapping[str, Any]
     interval: float
     checkpoint: Checkpoint | None = None
@@ -124,6 +128,7 @@ def run_scene(subject: Subject, stress: StressScene, *, seed: int, cache: Path) 
     return Row(
         model=subject.name,
         identity=subject.identity,
+        settings=subject.settings,
         scene=scene.name,
         axis=stress.axis,
         value=stress.value,
