@@ -10,7 +10,7 @@ import pytest
 from gns_pl.checkpoint import load_checkpoint
 from gns_pl.corrector import load_corrector
 from gns_pl.evaluation.scenes import build_scenes
-from gns_pl.pretrained import FOLDER, find_checkpoint, find_corrector, pretrained_names
+from gns_pl.pretrained import ALIASES, FOLDER, find_checkpoint, find_corrector, pretrained_names
 from gns_pl.rollout import rollout
 from gns_pl.scene import fill_scene
 from gns_pl.trajectory import start_trajectory
@@ -31,6 +31,13 @@ def test_each_corrector_has_a_card_and_its_provenance(path: Path) -> None:
     assert file.provenance["steps"] > 0 and file.data["families"]
     assert (FOLDER / f"{path.stem}.md").read_text(encoding="utf-8").startswith(f"# {path.stem}\n")
     assert path.stat().st_size < 1e7
+
+
+def test_what_a_model_is_for_is_a_name_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for alias, name in ALIASES.items():
+        assert find_checkpoint(alias) == FOLDER / f"{name}.ckpt"
+        assert load_checkpoint(alias).provenance["config"]["name"] == name
 
 
 def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,7 +40,7 @@ def with_obstacle(dim: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return position, np.where(np.arange(position.shape[1]) < 4, 3, 6)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_convert_train_evaluate(tmp_path: Path, dim: int) -> None:
     scenes = [with_obstacle(dim, seed) for seed in range(4)]
     sets = {"train": scenes[:2], "valid": scenes[2:3], "test": scenes[3:]}

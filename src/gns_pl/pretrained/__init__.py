@@ -6,6 +6,9 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent
 
+ALIASES = {"column-fast": "collapse", "column-fast-plane": "collapse_plane"}
+"""What a model is for, as a name → that of its experiment, file and card."""
+
 
 def pretrained_names() -> list[str]:
     """Return the names that can stand in the place of a checkpoint's path."""
@@ -13,9 +16,10 @@ def pretrained_names() -> list[str]:
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """Return the path of a checkpoint: that of a model that comes with the package if a bare name of one is given."""
-    shipped = FOLDER / f"{path}.ckpt"
-    return shipped if str(path) in pretrained_names() and not Path(path).exists() else Path(path)
+    """Return the path of a checkpoint: that of a model that comes with the package if its bare name is given, or what
+    it is for (`ALIASES`)."""
+    name = ALIASES.get(str(path), str(path))
+    return FOLDER / f"{name}.ckpt" if name in pretrained_names() and not Path(path).exists() else Path(path)
 
 
 def find_corrector(path: str | Path) -> Path:

@@ -16,7 +16,8 @@ from gns_pl.evaluation.stress.survival import survival
 def row(duration: float, failed_at: float = math.nan, **changes) -> Row:
     values = {
         "model": "m", "identity": "1", "settings": "none", "scene": f"s{duration}{failed_at}", "axis": "tilt",
-        "value": "5", "inside": True, "particles": 10, "steps": 5, "duration": duration, "kind": "" if math.isnan(failed_at) else "speed",
+        "value": "5", "inside": True,
+        "particles": 10, "steps": 5, "duration": duration, "kind": "" if math.isnan(failed_at) else "speed",
         "failed_at": failed_at, "sentence": "" if math.isnan(failed_at) else "a particle, fast", "left_at": math.nan,
         "energy_rise": 0.0, "crowded": 0.0, "momentum": 0.0, "drift": math.nan, "drift_largest": math.nan,
         "seconds": 1.0,
