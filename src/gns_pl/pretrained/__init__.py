@@ -16,8 +16,7 @@ def pretrained_names() -> list[str]:
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """Return the path of a checkpoint: that of a model that comes with the package if its bare name is given, or what
-    it is for (`ALIASES`)."""
+    """Return the path of a checkpoint: that of a model of the package if its bare name or alias is given."""
     name = ALIASES.get(str(path), str(path))
     return FOLDER / f"{name}.ckpt" if name in pretrained_names() and not Path(path).exists() else Path(path)
 
