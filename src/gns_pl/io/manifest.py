@@ -14,8 +14,10 @@ from gns_pl.errors import InputError
 from gns_pl.io.atomic import write_atomically
 
 MANIFEST_NAME = "manifest.json"
+"""Name of the manifest in the folder of a data set."""
 MANIFEST_VERSION = 1
 SPLITS = ("train", "valid", "test")
+"""The parts of a data set; every trajectory is in one."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from gns_pl.fields import FIELDS, MATERIAL, PARTICLE_TYPE, POSITION
 
 FORMAT_NAME = "gns_pl trajectory"
 FORMAT_VERSION = 1
+"""Version of the trajectory file that is written; a reader refuses a newer one."""
 H5MD_VERSION = (1, 1)
 UNITS_VERSION = (1, 0)
 

@@ -90,6 +90,7 @@ class Box:
 
 
 Obstacle: TypeAlias = Plane | Box
+"""What stands in the box: a half-space or a block that no sand enters."""
 
 
 def signed_distance(obstacle: Obstacle, position: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
