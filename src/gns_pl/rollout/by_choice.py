@@ -30,7 +30,7 @@ def way_name(path: str | Path) -> str:
 def make_ways(
     learned: Sequence[str],
     corrected: Sequence[str],
-    handed: Mapping[str, Mapping[str, Any]],
+    handed: Mapping[str, Mapping[str, Any]] | None,
     cells: Sequence[float],
     mpm: Mapping[str, Any],
     rest_speed: float = 0.0,
@@ -51,7 +51,7 @@ def make_ways(
         InputError: no such checkpoint.
     """
     ways: list[Way] = []
-    kept = dict(stabilise or {})
+    kept, handed = dict(stabilise or {}), handed or {}
     for name in [*learned, *(str(each.get("learned")) for each in handed.values())]:
         if not find_checkpoint(name).is_file():
             raise InputError(f"choice.learned: there is no checkpoint {name}.")
@@ -83,7 +83,7 @@ def simulate_by_choice(
     way: str | None,
     learned: Sequence[str],
     corrected: Sequence[str],
-    handed: Mapping[str, Mapping[str, Any]],
+    handed: Mapping[str, Mapping[str, Any]] | None,
     cells: Sequence[float],
     mpm: Mapping[str, Any],
     rest_speed: float,

@@ -17,7 +17,7 @@ from tests.conftest import MPM, SAND, make_simulator
 WALL = {"condition": "friction", "friction": 0.385}
 SAND_2D = {"gravity": 9.81, "material": {**vars(SAND)}, "walls": dict.fromkeys(FACES[3], WALL)}
 SETTINGS = {
-    "logger": None, "stabilise": {}, "seed": 5, "axes": ["tilt"], "label": None, "figures": False,
+    "logger": None, "stabilise": {}, "seed": 5, "axes": ["tilt"], "label": None, "shown": None, "figures": False,
     "device": "cpu", "dim": 2, "interval": 0.02, "sand": SAND_2D, "mpm": {**MPM, "cell_size": 0.1}, "only": None,
     "variants": {"mpm": {}, "fast": {"courant": 6.0, "allow_large_courant": True}},
 }  # fmt: skip

@@ -61,6 +61,7 @@ def run_suite(
     seed: int,
     axes: Sequence[str] | str | None,
     label: str | None,
+    shown: Sequence[str] | None,
     figures: bool,
     device: str,
     dim: int,
@@ -83,7 +84,8 @@ def run_suite(
         seed: of the scenes and placements.
         axes: names of those to run; None runs all.
         label: added to the names of what is stressed, to tell settings of one checkpoint apart; None adds nothing.
-        figures: draw the survival curves.
+        shown: names of those whose survival curves are drawn; None draws all in the table.
+        figures: draw them.
         device: of learned simulators, "auto" or as torch names it.
         dim: D of the material point method's scenes.
         interval: between its frames [s].
@@ -122,7 +124,7 @@ def run_suite(
     files = [table, out / "stress.md"]
     files[1].write_text(report.document(rows, seed), encoding="utf-8")
     if figures:
-        files += report.draw(rows, out)
+        files += report.draw(rows, out, shown)
     print(report.summary_table(rows))
     print("Made:", *files, sep="\n  ")
     if logger is not None:

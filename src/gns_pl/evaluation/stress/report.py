@@ -20,6 +20,10 @@ from gns_pl.rollout.failure import CLOSE, CLOSE_SHARE, ENERGY, OUTSIDE, OUTSIDE_
 TYPES: dict[str, Callable[[str], Any]] = {"bool": lambda text: text == "True", "int": int, "float": float, "str": str}
 
 
+NAMED = 3
+"""Failures of a model that the report tells one by one."""
+
+
 def read_rows(path: Path) -> list[Row]:
     """Return the rows of a table; none if it is not there.
 
@@ -91,12 +95,15 @@ def axis_table(rows: Sequence[Row]) -> str:
 
 
 def failures(rows: Sequence[Row]) -> str:
-    """Return a sentence for every failure within the data and every one that was not foretold, in Markdown."""
+    """Return sentences for failures within the data and for those that were not foretold, in Markdown."""
     lines = []
-    for row in rows:
-        if row.kind and (row.inside or not row.announced):
+    for name, some in by_model(rows).items():
+        found = [row for row in some if row.kind and (row.inside or not row.announced)]
+        for row in found[:NAMED]:
             where = "within its data" if row.inside else "not foretold"
-            lines.append(f"- `{row.model}`, {row.scene} ({row.value}), {where}: {row.sentence}.")
+            lines.append(f"- `{name}`, {row.scene} ({row.value}), {where}: {row.sentence}.")
+        if len(found) > NAMED:
+            lines.append(f"- `{name}`: and {len(found) - NAMED} more (stress.csv).")
     return "\n".join(lines) or "None."
 
 
@@ -133,14 +140,21 @@ Failures within a model's data, and those that nothing foretold:
 """
 
 
-def draw(rows: Sequence[Row], out: Path) -> list[Path]:
-    """Draw the survival curves and return the files."""
+def draw(rows: Sequence[Row], out: Path, shown: Sequence[str] | None = None) -> list[Path]:
+    """Draw the survival curves and return the files.
+
+    Args:
+        rows: of all models.
+        out: folder.
+        shown: names of the models that are drawn; None draws all.
+    """
     from gns_pl.viz import plot_survival
 
     paths = [out / "stress.png", out / "stress.pdf"]
     curves = {
         name: {axis: survival([r for r in some if r.axis == axis]) for axis in dict.fromkeys(r.axis for r in some)}
         for name, some in by_model(rows).items()
+        if not shown or name in shown
     }
     plot_survival(curves, paths)
     return paths

@@ -1,0 +1,220 @@
+"""What the shipped models are worth: the table of the README and docs/results.md, written where they stand.
+
+    python benchmarks/results.py                          # measure what docs/results.csv lacks, write the tables
+    python benchmarks/results.py --from-table             # write the tables again
+    python benchmarks/results.py --from-table --sweeps FOLDER …   # and those of sweeps, into docs/results.md
+
+Every model runs the test columns (a = 0.8, 2.0) and the validation columns (1.2, 3.0) from six placements, stabilised
+as `simulate.py` does it, on one thread. Errors are against the mean of three runs of the MPM that taught it, all points
+of them, from placements of their own; the standard deviation over the placements stands beside. A time is that of a
+whole column, neighbours and copies included. Tables go between marks in the files, so that the words around them stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import re
+import shutil
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from gns_pl.evaluation.chart.converged import Converged, errors_of
+from gns_pl.evaluation.measures import speeds
+from gns_pl.evaluation.scenes import build_scenes
+from gns_pl.generation import reference_trajectory
+from gns_pl.io import file_sha256
+from gns_pl.machine import machine_name
+from gns_pl.pretrained import ALIASES, find_checkpoint, find_corrector
+from gns_pl.rollout.fitted import CorrectedWay, FittedWay, LearnedWay
+
+ROOT = Path(__file__).parents[1]
+MODELS = {"column-fast": "column-fast", "column-fast-plane": "column-fast-plane", "corrected_plane": "corrected_plane"}
+PLACEMENTS, REFERENCES = 6, 3
+
+
+@dataclass(frozen=True)
+class Row:
+    """A model on a column.
+
+    Attributes:
+        model: its name.
+        sha256: of its file.
+        scene: of conf/evaluation.
+        split: "test" or "validation".
+        particles: of a run.
+        runout: mean error of the final 99 % runout over the placements, relative.
+        runout_std: standard deviation of it.
+        runout_largest: the largest of them.
+        reference_std: standard deviation of the teacher's own, over its placements.
+        height: mean error of the final mean height, relative.
+        profile: mean area between the final profiles over the deposit's.
+        curve: mean absolute difference of the runout over time, over its final value.
+        speed: root mean square of the particles in the last frame, mean over the placements [m/s].
+        seconds: median of a run.
+        teacher_seconds: of a run of the teacher.
+        machine: that ran it.
+    """
+
+    model: str
+    sha256: str
+    scene: str
+    split: str
+    particles: int
+    runout: float
+    runout_std: float
+    runout_largest: float
+    reference_std: float
+    height: float
+    profile: float
+    curve: float
+    speed: float
+    seconds: float
+    teacher_seconds: float
+    machine: str
+
+
+def settings(name: str) -> dict[str, object]:
+    """Return what `evaluate.py evaluation=NAME` says."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base=None):
+        return OmegaConf.to_container(compose("evaluate", overrides=[f"evaluation={name}"]), resolve=True)  # type: ignore[return-value]
+
+
+def measure(cache: Path, known: Sequence[Row], path: Path) -> list[Row]:
+    """Return a row for every model and column; one that is known is not measured again."""
+    rows: list[Row] = []
+    for model, name in MODELS.items():
+        corrector = find_corrector(name)
+        trained = corrector if corrector.suffix == ".corrector" else find_checkpoint(name)
+        way: FittedWay
+        for split, named in (("test", "columns"), ("validation", "validation")):
+            config = settings(named)
+            evaluation = config["evaluation"]
+            if trained.suffix == ".corrector":
+                way = CorrectedWay(model, trained)
+            else:
+                way = LearnedWay(model, trained, stabilise=config["stabilise"])
+            scenes = build_scenes(
+                evaluation["columns"], None, only=None, domain=evaluation["domain"],
+                duration=evaluation["duration"], interval=way.interval, data=way.data,
+            )  # fmt: skip
+            for scene in scenes.values():
+                row = next(
+                    (r for r in known if (r.model, r.scene, r.sha256) == (model, scene.name, file_sha256(trained))),
+                    None,
+                )
+                if row is None:
+                    fine = [
+                        reference_trajectory(scene, way.data["mpm"], frame_interval=way.interval, seed=seed, cache_directory=cache)  # noqa: E501
+                        for seed in range(REFERENCES)
+                    ]  # fmt: skip
+                    judged = Converged.by(fine, scene, flat=scene, uncertainty=0.0, identity="", words="")
+                    row = judge(model, file_sha256(trained), way, judged, fine, split)
+                rows.append(row)
+                write(path, rows)
+                print(row)
+    return rows
+
+
+def judge(model: str, sha256: str, way: FittedWay, judged: Converged, fine: list, split: str) -> Row:
+    """Run a model on a column from all placements."""
+    way.run(judged.scene, interval=way.interval, seed=0)  # what is compiled at first use is not timed
+    errors, seconds, speed = [], [], []
+    for seed in range(PLACEMENTS):
+        began = time.perf_counter()
+        made = way.run(judged.scene, interval=way.interval, seed=seed)
+        seconds.append(time.perf_counter() - began)
+        errors.append(errors_of(made, judged))
+        speed.append(float(np.sqrt(np.square(speeds(made)[-1]).mean())))
+    own = [errors_of(each, judged)["runout_error"] for each in fine]
+    runout = np.array([each["runout_error"] for each in errors])
+    mean = {key: float(np.mean([each[key] for each in errors])) for key in errors[0]}
+    return Row(
+        model=model, sha256=sha256, scene=judged.scene.name, split=split, particles=made.num_particles,
+        runout=float(runout.mean()), runout_std=float(runout.std()),
+        runout_largest=float(runout[np.abs(runout).argmax()]),
+        reference_std=float(np.std(own)), height=mean["height_error"], profile=mean["profile_error"],
+        curve=mean["curve_error"], speed=float(np.mean(speed)), seconds=statistics.median(seconds),
+        teacher_seconds=judged.seconds, machine=machine_name(),
+    )  # fmt: skip
+
+
+def write(path: Path, rows: Sequence[Row]) -> None:
+    """Write the table."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [each.name for each in fields(Row)], lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
+
+
+def read(path: Path) -> list[Row]:
+    """Read the table; nothing if it is not there."""
+    if not path.is_file():
+        return []
+    kinds = {"str": str, "int": int, "float": float}
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            Row(**{each.name: kinds[str(each.type)](line[each.name]) for each in fields(Row)})
+            for line in csv.DictReader(file)
+        ]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the table of all models and columns in Markdown."""
+    lines = [
+        "| model | column | particles | final runout, 99 % | mean height | profile | speed at the end | seconds, one thread | its teacher's seconds |",  # noqa: E501
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        also = f" (`{ALIASES[row.model]}`)" if row.model in ALIASES else ""
+        lines.append(
+            f"| `{row.model}`{also} | {row.scene.replace('column_', 'a = ')}, {row.split} | {row.particles} "
+            f"| {100 * row.runout:+.1f} ± {100 * row.runout_std:.1f} % ({100 * row.runout_largest:+.1f}) "
+            f"| {100 * row.height:+.1f} % | {row.profile:.2f} | {1000 * row.speed:.0f} mm/s | {row.seconds:.2f} "
+            f"| {row.teacher_seconds:.1f} |"
+        )
+    return "\n".join(lines)
+
+
+def put(path: Path, name: str, content: str) -> None:
+    """Put a table between its marks in a file."""
+    text = path.read_text(encoding="utf-8")
+    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    if begin not in text or end not in text:
+        raise SystemExit(f"{path}: has no place for {name}: {begin} … {end}")
+    text = re.sub(f"{begin}.*?{end}", lambda _: f"{begin}\n{content}\n{end}", text, flags=re.S)
+    path.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cache", type=Path, default=Path("datasets/reference"))
+    parser.add_argument("--from-table", action="store_true", help="measure nothing")
+    parser.add_argument("--sweeps", type=Path, nargs="*", default=[], help="folders of finished sweeps, NAME each")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    path = ROOT / "docs" / "results.csv"
+    rows = read(path) if args.from_table else measure(args.cache, read(path), path)
+    put(ROOT / "docs" / "results.md", "models", table(rows))
+    put(ROOT / "README.md", "models", table([row for row in rows if row.split == "test"]))
+    for folder in args.sweeps:
+        for suffix in ("csv", "png"):
+            shutil.copy(folder / f"sweep.{suffix}", ROOT / "docs" / f"sweep_{folder.name}.{suffix}")
+        content = (
+            (folder / "sweep.md").read_text(encoding="utf-8").replace("](sweep.png)", f"](sweep_{folder.name}.png)")
+        )
+        put(ROOT / "docs" / "results.md", folder.name, content.strip())
+
+
+if __name__ == "__main__":
+    main()
