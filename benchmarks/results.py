@@ -6,8 +6,9 @@
 
 Every model runs the test columns (a = 0.8, 2.0) and the validation columns (1.2, 3.0) from six placements, stabilised
 as `simulate.py` does it, on one thread. Errors are against the MPM that taught it, all points of it: the mean of three
-placements in plane strain, one run in three dimensions. The standard deviation over the placements of the model stands beside. A time is that of a
-whole column, neighbours and copies included. Tables go between marks in the files, so that the words around them stay.
+placements in plane strain, one run in three dimensions. The standard deviation over the placements of the model stands
+beside. A time is that of a whole column, neighbours and copies included. Tables go between marks in the files, so that
+the words around them stay.
 """
 
 from __future__ import annotations
