@@ -14,18 +14,18 @@ import argparse
 import copy
 import csv
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from inverse_page import write_figure, write_page
+from inverse_page import WAYS, read_text, write_figure, write_page
 
 from gns_pl.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.generation.solver import run_solver
-from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Fit, Problem, deposit_thickness, descend, solve
+from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Fit, Problem, deposit_thickness, descend, solve, stroll
 from gns_pl.rollout.simulate import start_of
 from gns_pl.scene import Material, Scene, Wall, cube_drop
 
@@ -36,6 +36,7 @@ BOUNDS = Bounds((math.tan(math.radians(20)), -1.5), (1.0, 1.5))  # of tan φ and
 GUESS = (math.tan(math.radians(32.5)), 0.0)
 DIFFERENCES = (5e-3, 1e-2)  # half of each: wide enough for float32, narrow enough for a slope
 WIDE = (0.03, 0.15)  # half of each, a twentieth of the range: what a search would want to know
+WALK = 40  # steps of Adam
 HORIZONS = (1, 5, 10, 20, 30, 40, 60)
 FINE, MIDDLE, COARSE = 1 / 48, 1 / 36, 1 / 24  # m, cells of MPM; FINE made the observation and taught the simulator
 SOLVE = {"difference": 0.03, "tolerance": 3e-3, "most": 15}
@@ -72,34 +73,44 @@ def truths(number: int) -> list[tuple[float, float]]:
     return [(math.tan(math.radians(draw(23, 42))), draw(0.2, 1.3)) for _ in range(number)]
 
 
-def fits(checkpoint: Checkpoint, number: int, truth: tuple[float, float]) -> Iterator[dict[str, Any]]:
-    """Yield a row for every way to the unknowns of a truth."""
+def fits(
+    checkpoint: Checkpoint, number: int, truth: tuple[float, float], only: Sequence[str]
+) -> Iterator[dict[str, Any]]:
+    """Yield a row for each of the ways `only` to the unknowns of a truth."""
     data = checkpoint.data
     observed = deposit_of_mpm(data, np.array(truth), FINE, seed=1000 + number)
     problem = problem_of(checkpoint, observed)
     with torch.no_grad():
         own = problem.thickness(problem.rollout(torch.tensor([truth]))[-1, 0]).double()
     twin = replace(problem, observed=own)
-    for name, each in (("gradient", problem), ("gradient, twin", twin)):
-        forth = ByGradient(each)
-        yield row(number, truth, name, descend(forth, GUESS, BOUNDS, tolerance=1e-3, most=40), forth.num_rollouts)
-    both = ByDifferences(problem, DIFFERENCES)
-    yield row(number, truth, "differences", descend(both, GUESS, BOUNDS, tolerance=1e-3, most=40), both.num_rollouts)
 
     def learned(unknowns: np.ndarray) -> torch.Tensor:
         with torch.no_grad():
             return problem.thickness(problem.rollout(torch.from_numpy(unknowns)[None])[-1, 0]).double()
 
-    ways: dict[str, Callable[[np.ndarray], torch.Tensor]] = {
-        "least squares": learned,
-        "MPM 1/24 m": lambda unknowns: deposit_of_mpm(data, unknowns, COARSE, seed=0),
-        "MPM 1/36 m": lambda unknowns: deposit_of_mpm(data, unknowns, MIDDLE, seed=0),
-        "MPM 1/48 m": lambda unknowns: deposit_of_mpm(data, unknowns, FINE, seed=0),
+    def mpm(cell: float) -> Callable[[np.ndarray], torch.Tensor]:
+        return lambda unknowns: deposit_of_mpm(data, unknowns, cell, seed=0)
+
+    def down(way: ByGradient | ByDifferences) -> tuple[Fit, int]:
+        return descend(way, GUESS, BOUNDS, tolerance=1e-3, most=40), way.num_rollouts
+
+    def solved(deposit: Callable[[np.ndarray], torch.Tensor]) -> tuple[Fit, int]:
+        deposit(np.array(GUESS))  # what is compiled is compiled
+        fit = solve(lambda x: ((deposit(x) - observed) / observed.norm()).numpy(), GUESS, BOUNDS, **SOLVE)
+        return fit, fit.evaluations
+
+    ways: dict[str, Callable[[], tuple[Fit, int]]] = {
+        "gradient": lambda: down(ByGradient(problem)),
+        "gradient, Adam": lambda: (stroll(ByGradient(problem), GUESS, BOUNDS, most=WALK, pace=0.08), WALK),
+        "differences": lambda: down(ByDifferences(problem, DIFFERENCES)),
+        "least squares": lambda: solved(learned),
+        "MPM 1/24 m": lambda: solved(mpm(COARSE)),
+        "MPM 1/36 m": lambda: solved(mpm(MIDDLE)),
+        "MPM 1/48 m": lambda: solved(mpm(FINE)),
+        "gradient, twin": lambda: down(ByGradient(twin)),
     }
-    for name, way in ways.items():
-        way(np.array(GUESS))  # what is compiled is compiled
-        fit = solve(lambda x, way=way: ((way(x) - observed) / observed.norm()).numpy(), GUESS, BOUNDS, **SOLVE)
-        yield row(number, truth, name, fit, fit.evaluations)
+    for name in only:
+        yield row(number, truth, name, *ways[name]())
 
 
 def row(number: int, truth: tuple[float, float], way: str, fit: Fit, rollouts: int) -> dict[str, Any]:
@@ -113,13 +124,13 @@ def row(number: int, truth: tuple[float, float], way: str, fit: Fit, rollouts: i
     }  # fmt: skip
 
 
-def agreement(problem: Problem, number: int) -> Iterator[dict[str, Any]]:
-    """Yield a row for every horizon: gradients at the guess against differences, narrow in float64 and wide."""
+def agreement(problem: Problem, number: int, truth: tuple[float, float]) -> Iterator[dict[str, Any]]:
+    """Yield a row for every horizon: gradients half-way from guess to truth against narrow and wide differences."""
     exact = replace(problem, simulator=copy.deepcopy(problem.simulator).double())
-    extent = BOUNDS.extent
+    extent, halfway = BOUNDS.extent, (np.array(GUESS) + truth) / 2
 
     def slope(way: Any) -> np.ndarray:
-        return np.asarray(way(np.array(GUESS))[1]) * extent
+        return np.asarray(way(halfway)[1]) * extent
 
     for steps in HORIZONS:
         short, short_exact = replace(problem, num_steps=steps), replace(exact, num_steps=steps)
@@ -130,8 +141,10 @@ def agreement(problem: Problem, number: int) -> Iterator[dict[str, Any]]:
             "truth": number, "steps": steps, "size": f"{size(gradient):.3g}",
             "to_narrow": f"{size(truly - narrow) / size(narrow):.1e}",
             "float32_to_float64": f"{size(gradient - truly) / size(truly):.1e}",
-            "to_wide": f"{size(gradient - wide) / size(wide):.2f}",
-            "cosine": f"{gradient @ wide / (size(gradient) * size(wide)):.3f}",
+            "friction_to_narrow": f"{abs(truly[0] / narrow[0] - 1):.1e}",
+            "to_wide": f"{size(gradient - wide) / size(wide):.2g}",
+            "friction_share": f"{abs(wide[0]) / size(wide):.2g}",
+            "friction_to_wide": f"{abs(gradient[0] / wide[0] - 1):.2g}",
             "friction_same_sign": int(gradient[0] * wide[0] > 0),
         }  # fmt: skip
 
@@ -151,18 +164,25 @@ def main() -> None:
     parser.add_argument("--truths", type=int, default=6, help="hidden truths")
     parser.add_argument("--out", type=Path, default=Path("docs"))
     parser.add_argument("--from-table", action="store_true", help="page and figure from the tables alone")
+    parser.add_argument("--only", nargs="*", choices=[*WAYS, "slopes"], help="these anew, the others as in the tables")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)
     if not given.from_table:
-        torch.set_num_threads(1)
-        checkpoint, found, slopes = load_checkpoint(given.ckpt), [], []
-        for number, truth in enumerate(truths(given.truths)):
-            for each in fits(checkpoint, number, truth):
+        checkpoint = load_checkpoint(given.ckpt)
+        hidden = list(enumerate(truths(given.truths)))
+        only = [*WAYS, "slopes"] if given.only is None else given.only
+        table = given.out / "inverse.csv"
+        found = [each for each in read_text(table) if each["way"] not in only] if given.only is not None else []
+        for number, truth in hidden:
+            for each in fits(checkpoint, number, truth, [way for way in WAYS if way in only]):
                 print(each, flush=True)
                 found.append(each)
+        write_rows(table, sorted(found, key=lambda each: (int(each["truth"]), list(WAYS).index(each["way"]))))
+        slopes = []
+        for number, truth in hidden if "slopes" in only else []:
             observed = deposit_of_mpm(checkpoint.data, np.array(truth), FINE, seed=1000 + number)
-            slopes += agreement(problem_of(checkpoint, observed), number) if number < 3 else []
-            write_rows(given.out / "inverse.csv", found)
+            slopes += agreement(problem_of(checkpoint, observed), number, truth)
             write_rows(given.out / "inverse_gradients.csv", slopes)
     write_figure(given.out)
     write_page(given.out)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.inverse import Bounds, descend, solve
+from gns_pl.inverse import Bounds, descend, solve, stroll
 
 BOUNDS = Bounds((0.0, -2.0), (1.0, 2.0))
 
@@ -37,6 +37,12 @@ def test_what_lies_outside_is_found_at_the_bound() -> None:
     for fit in (down, solved):
         assert fit.unknowns[0] == pytest.approx(0.5, abs=1e-3)
         assert (fit.path[:, 0] >= 0.5).all() and (fit.path[:, 0] <= 1.0).all()
+
+
+def test_a_stroll_ends_near_it() -> None:
+    fit = stroll(misfit, (0.9, 1.5), BOUNDS, most=60, pace=0.1)
+    np.testing.assert_allclose(fit.unknowns, [0.3, -1.0], atol=0.02)
+    assert fit.evaluations == 60
 
 
 def test_slopes_are_measured_once() -> None:

@@ -1,7 +1,7 @@
 """Two ways to the unknowns: down a misfit by its gradient, and by what every place tells of every unknown.
 
-`descend` needs a gradient, wherever it comes from; its price does not grow with the number of unknowns if that is
-reverse mode. `solve` needs runs alone, of whatever solver, and more of them for every unknown.
+`descend` and `stroll` need a gradient, wherever it comes from; their price does not grow with the number of unknowns if
+that is reverse mode. `solve` needs runs alone, of whatever solver, and more of them for every unknown.
 """
 
 from __future__ import annotations
@@ -105,6 +105,33 @@ def descend(
     box = [(0.0, 1.0)] * len(start)
     options = {"maxfun": most, "ftol": tolerance, "gtol": 1e-9}
     minimize(scaled, bounds.share(start), jac=True, method="L-BFGS-B", bounds=box, options=options)
+    return record.fit()
+
+
+def stroll(
+    misfit: Callable[[Floats], tuple[float, Floats]], start: Sequence[float], bounds: Bounds, *, most: int, pace: float
+) -> Fit:
+    """Go down by gradients without trusting any of them, Adam (Kingma and Ba 2015) with a pace that falls to nothing.
+
+    Where a misfit is rough on a small scale this walks on where `descend` finds no way down; it takes all its steps.
+
+    Args:
+        misfit: unknowns → misfit and gradient.
+        start: unknowns to begin from.
+        bounds: of the unknowns.
+        most: evaluations.
+        pace: length of the first step, a share of the range.
+    """
+    record, share = _Record(), bounds.share(start)
+    mean, square = np.zeros(len(share)), np.zeros(len(share))
+    for count in range(1, most + 1):
+        unknowns = bounds.inside(share)
+        value, gradient = misfit(unknowns)
+        record.add(unknowns, value)
+        slope = gradient * bounds.extent
+        mean, square = 0.8 * mean + 0.2 * slope, 0.95 * square + 0.05 * slope**2
+        step = mean / (1 - 0.8**count) / (np.sqrt(square / (1 - 0.95**count)) + 1e-12)
+        share = np.clip(share - pace * (1 - count / (most + 1)) * step, 0, 1)
     return record.fit()
 
 
