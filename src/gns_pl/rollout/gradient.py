@@ -19,7 +19,13 @@ from gns_pl.simulator import Simulator
 
 
 def differentiable_rollout(
-    simulator: Simulator, position: Tensor, velocity: Tensor, static: Static, num_steps: int
+    simulator: Simulator,
+    position: Tensor,
+    velocity: Tensor,
+    static: Static,
+    num_steps: int,
+    *,
+    recompute: bool = True,
 ) -> Tensor:
     """Return the positions of every frame, with derivatives by whatever of the input requires them.
 
@@ -31,6 +37,8 @@ def differentiable_rollout(
         velocity: of the first frame [N, D] [m/s].
         static: the scenes.
         num_steps: frames to add.
+        recompute: make every step a second time on the way back; else all its states are kept, which takes less time
+            and T · E · L numbers of memory.
 
     Returns:
         [num_steps + 1, N, D] [m].
@@ -41,7 +49,10 @@ def differentiable_rollout(
     frames = [position]
     for _ in range(num_steps):
         # `static` is not an argument for autograd to see, but its tensors are recorded when the step is made again.
-        frame = cast(Tensor, checkpoint(simulator, history, static, use_reentrant=False))
+        if recompute:
+            frame = cast(Tensor, checkpoint(simulator, history, static, use_reentrant=False))
+        else:
+            frame = simulator(history, static)
         frames.append(frame)
         history = torch.cat([history[:, 1:], frame[:, None]], dim=1)
     return torch.stack(frames)
