@@ -41,6 +41,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "corrector": (),
     "evaluation": ("evaluate", "measures", "metrics", "curves", "laws", "bands", "stress.suite", "chart.benchmark"),
     "viz": (),
+    "inverse": ("deposit", "problem", "fit"),
     "training": ("train", "config", "module", "correction", "sweep", "advice.advise"),
     "data": ("datamodule", "windows", "statistics", "survey"),
     "graph": ("context",),

@@ -107,6 +107,14 @@ def test_the_material_point_method_does_not_fail(column: Scene) -> None:
     assert first_failure(made) is None
 
 
+def test_looking_at_some_frames_alone_sees_what_lasts(column: Scene) -> None:
+    start = make_start(column)
+    watch, lifted = Watch(start, DT, every=4), start.position[0] + np.array([0, 0, 0.03])
+    rest = start.position[0]
+    assert [watch.look(each) is not None for each in (rest, rest, lifted, lifted)] == [False, False, False, True]
+    assert watch.failure is not None and watch.failure.time == pytest.approx(0.04)
+
+
 def test_a_rollout_ends_at_its_failure_and_says_so(column: Scene) -> None:
     simulator, start = make_simulator(), make_start(column)
     for weights in simulator.network.parameters():

@@ -131,9 +131,7 @@ class LearnedWay(FittedWay):
         less, simulator = self.reduced(scene), stabilise(self.checkpoint.simulator, **self.stabilise)
         start = start_of(less.scene, self.checkpoint, seed, {})
         rest = Rest(self.rest_speed) if self.rest_speed else None
-        made = rollout(
-            simulator, start, self.size(scene)[1], rest=rest, watch=Watch(start, self.interval, close_every=10)
-        )
+        made = rollout(simulator, start, self.size(scene)[1], rest=rest, watch=Watch(start, self.interval, every=10))
         return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
 
 
