@@ -63,7 +63,6 @@ class Row:
         curve: mean absolute difference of the runout over time, over its final value.
         speed: root mean square of the particles in the last frame, mean over the placements [m/s].
         seconds: median of a run.
-        teacher_seconds: of a run of the teacher.
         machine: that ran it.
     """
 
@@ -81,7 +80,6 @@ class Row:
     curve: float
     speed: float
     seconds: float
-    teacher_seconds: float
     machine: str
 
 
@@ -145,8 +143,7 @@ def judge(model: str, sha256: str, way: FittedWay, judged: Converged, fine: list
         runout=float(runout.mean()), runout_std=float(runout.std()),
         runout_largest=float(runout[np.abs(runout).argmax()]),
         reference_std=float(np.std(own)), height=mean["height_error"], profile=mean["profile_error"],
-        curve=mean["curve_error"], speed=float(np.mean(speed)), seconds=statistics.median(seconds),
-        teacher_seconds=judged.seconds, machine=machine_name(),
+        curve=mean["curve_error"], speed=float(np.mean(speed)), seconds=statistics.median(seconds), machine=machine_name(),
     )  # fmt: skip
 
 
@@ -174,16 +171,15 @@ def read(path: Path) -> list[Row]:
 def table(rows: Sequence[Row]) -> str:
     """Return the table of all models and columns in Markdown."""
     lines = [
-        "| model | column | particles | final runout, 99 % | mean height | profile | speed at the end | seconds, one thread | its teacher's seconds |",  # noqa: E501
-        "|---|---|---|---|---|---|---|---|---|",
+        "| model | column | particles | final runout, 99 % | mean height | profile | speed at the end | seconds, one thread |",  # noqa: E501
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         also = f" (`{ALIASES[row.model]}`)" if row.model in ALIASES else ""
         lines.append(
             f"| `{row.model}`{also} | {row.scene.replace('column_', 'a = ')}, {row.split} | {row.particles} "
             f"| {100 * row.runout:+.1f} ± {100 * row.runout_std:.1f} % ({100 * row.runout_largest:+.1f}) "
-            f"| {100 * row.height:+.1f} % | {row.profile:.2f} | {1000 * row.speed:.0f} mm/s | {row.seconds:.2f} "
-            f"| {row.teacher_seconds:.1f} |"
+            f"| {100 * row.height:+.1f} % | {row.profile:.2f} | {1000 * row.speed:.0f} mm/s | {row.seconds:.2f} |"
         )
     return "\n".join(lines)
 
