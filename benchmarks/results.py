@@ -143,7 +143,8 @@ def judge(model: str, sha256: str, way: FittedWay, judged: Converged, fine: list
         runout=float(runout.mean()), runout_std=float(runout.std()),
         runout_largest=float(runout[np.abs(runout).argmax()]),
         reference_std=float(np.std(own)), height=mean["height_error"], profile=mean["profile_error"],
-        curve=mean["curve_error"], speed=float(np.mean(speed)), seconds=statistics.median(seconds), machine=machine_name(),
+        curve=mean["curve_error"], speed=float(np.mean(speed)), seconds=statistics.median(seconds),
+        machine=machine_name(),
     )  # fmt: skip
 
 
