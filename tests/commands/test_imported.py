@@ -72,6 +72,7 @@ def test_convert_train_evaluate(tmp_path: Path, dim: int) -> None:
     assert not np.array_equal(learned[:, 4:], positions["test"][0][:, 4:])
 
 
+@pytest.mark.slow
 def test_without_a_split_imported_data_are_judged_on_their_tests(tmp_path: Path) -> None:
     scenes = [with_obstacle(2, seed)[0] for seed in range(3)]
     (tmp_path / "plain").mkdir()
@@ -132,6 +133,7 @@ def test_weights_of_geoelements_are_judged_and_simulate(tmp_path: Path) -> None:
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
+@pytest.mark.slow
 def test_what_is_trained_with_their_features_goes_there(tmp_path: Path) -> None:
     """Trained here, exported, imported again: the same step."""
     scenes = [with_obstacle(2, seed) for seed in range(3)]

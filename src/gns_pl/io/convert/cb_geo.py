@@ -137,7 +137,10 @@ def _table(files: tuple[Path, ...]) -> NDArray[Any]:
             for name in kept:
                 if rows.dtype[name].kind not in ("iu" if name == "id" else "iuf") or rows.dtype[name].shape:
                     raise InputError(f"{name} in its table must hold numbers, not {rows.dtype[name]}.")
-                part[name] = rows[name]
+                with np.errstate(
+                    over="ignore", invalid="ignore"
+                ):  # what does not fit is not finite, and refused as that
+                    part[name] = rows[name]
             parts.append(part)
     if any(part.dtype != parts[0].dtype for part in parts):
         raise InputError(f"{files[0].name} and the other ranks' files have different columns.")
