@@ -33,7 +33,7 @@ def call(folder, *arguments, **environment):
         ((), "which checkpoint? Name one: python evaluate.py ckpt=runs/…/last.ckpt"),
         (
             ("ckpt=nowhere/last.ckpt",),
-            "nowhere/last.ckpt: there is no such checkpoint; those that come with gns_pl are collapse, collapse_plane, friction",
+            "nowhere/last.ckpt: there is no such checkpoint; those that come with gns_pl are collapse, ",
         ),
         (("ckpt=foreign.ckpt", "evaluation.figures=false"), "foreign.ckpt: is not a readable checkpoint"),
     ],
