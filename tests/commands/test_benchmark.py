@@ -49,7 +49,7 @@ def call(folder: Path, *arguments: str, **environment: str) -> subprocess.Comple
         (("ckpt=[nowhere.ckpt]",), "nowhere.ckpt: there is no such checkpoint"),
         (("placements=0",), "placements must be a whole number of at least 1, not 0."),
         (("from_table=true",), "runs/benchmark/plan.json: is not there yet"),
-        (("evaluation.only=[mine]",), "evaluation.only: no scene mine"),
+        (("evaluation.only=[mine]",), "evaluation.only: there is no mine"),
     ],
 )
 def test_refusals_are_one_sentence_and_leave_nothing_behind(

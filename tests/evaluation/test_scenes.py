@@ -70,7 +70,7 @@ def test_only_some(only) -> None:
 @pytest.mark.parametrize(
     ("specifications", "changes", "message"),
     [
-        (COLUMNS, {"only": ["talk"]}, "no scene talk; known are short, tall"),
+        (COLUMNS, {"only": ["talk"]}, "there is no talk; known are short, tall"),
         ({}, {}, "no scene to evaluate"),
         ({"a/b": COLUMNS["tall"]}, {}, "must be a word"),
         ({"x": {"length": 1}}, {}, "length, height"),

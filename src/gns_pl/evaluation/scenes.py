@@ -61,13 +61,19 @@ def build_scenes(
     return scenes
 
 
-def chosen(scenes: Mapping[str, T], only: Sequence[str] | str | None, what: str = "evaluation.columns") -> dict[str, T]:
+def chosen(
+    scenes: Mapping[str, T],
+    only: Sequence[str] | str | None,
+    what: str = "evaluation.columns",
+    key: str = "evaluation.only",
+) -> dict[str, T]:
     """Return those that are wanted.
 
     Args:
         scenes: name → anything.
         only: names to keep; None keeps all.
         what: they come from, for messages.
+        key: that names those to keep, for messages.
 
     Raises:
         InputError: an unknown name, one that can name no file, or nothing left.
@@ -75,7 +81,7 @@ def chosen(scenes: Mapping[str, T], only: Sequence[str] | str | None, what: str 
     only = [only] if isinstance(only, str) else only
     unknown = [name for name in only or () if name not in scenes]
     if unknown:
-        raise InputError(f"evaluation.only: no scene {', '.join(unknown)}; known are {', '.join(scenes)}.")
+        raise InputError(f"{key}: there is no {', '.join(unknown)}; known are {', '.join(scenes)}.")
     kept = {name: scene for name, scene in scenes.items() if not only or name in only}
     if not kept:
         raise InputError(f"{what}: there is no scene to evaluate.")

@@ -102,7 +102,7 @@ def run_suite(
     from gns_pl.evaluation.stress.runs import run_scene
     from gns_pl.evaluation.stress.suite import AXES, Sand, stress_scenes
 
-    axes = tuple(chosen(dict.fromkeys(AXES), axes, "evaluation.stress.axes"))
+    axes = tuple(chosen(dict.fromkeys(AXES), axes, key="evaluation.stress.axes"))
     make_folder(out)
     table = out / "stress.csv"
     rows = report.read_rows(table)
@@ -176,7 +176,7 @@ def _solved(
     if dim not in (2, 3):
         raise InputError(f"evaluation.stress.dim must be 2 or 3, not {dim}.")
     walls = {face: wall for face, wall in sand["walls"].items() if dim == 3 or face[0] != "y"}
-    for name, changes in chosen(variants, only, "evaluation.stress.only").items():
+    for name, changes in chosen(variants, only, "evaluation.stress.variants", "evaluation.stress.only").items():
         settings = {**mpm, **(changes or {})}
         solver.solver_config(settings)  # refuses what no run could use
         data = {**sand, "walls": walls, "mpm": settings}
