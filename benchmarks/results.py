@@ -210,10 +210,11 @@ def main() -> None:
     for folder in args.sweeps:
         for suffix in ("csv", "png"):
             shutil.copy(folder / f"sweep.{suffix}", ROOT / "docs" / f"sweep_{folder.name}.{suffix}")
-        content = (
-            (folder / "sweep.md").read_text(encoding="utf-8").replace("](sweep.png)", f"](sweep_{folder.name}.png)")
-        )
-        put(ROOT / "docs" / "results.md", folder.name, content.strip())
+        lines = [
+            line for line in (folder / "sweep.md").read_text(encoding="utf-8").splitlines() if line.startswith("|")
+        ]
+        figure = f"![errors over the values](sweep_{folder.name}.png)"
+        put(ROOT / "docs" / "results.md", folder.name, "\n".join([*lines, "", figure]))
 
 
 if __name__ == "__main__":
