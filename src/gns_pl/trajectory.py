@@ -105,6 +105,11 @@ class Trajectory:
             position[~exact] = PchipInterpolator(self.time, self.position.astype(np.float64))(times[~exact])
         return replace(self, position=position, dt=interval)
 
+    @property
+    def spacing(self) -> float:
+        """(V / N)^(1/D) [m], with V the volume that the N particles stand for: of all bodies they fill."""
+        return float((self.volume().sum(dtype=np.float64) / self.num_particles) ** (1 / self.scene.dim))
+
     def volume(self) -> NDArray[np.float32]:
         """Volume that every particle stands for: its mass over the density of the body it starts in [N] [m^D].
 
@@ -175,3 +180,15 @@ def start_trajectory(scene: Scene, particles: Particles, dt: float, provenance: 
         scene=scene,
         provenance=provenance,
     )
+
+
+def nearest_neighbour_distance(position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return every particle's distance to the nearest other one, exactly (k-d tree) [N] [m].
+
+    Args:
+        position: [N, D] [m], N ≥ 2.
+    """
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(position).query(position, k=2)
+    return np.asarray(distance[:, 1])

@@ -8,6 +8,7 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.evaluation import measures
 from gns_pl.scene.extent import characteristic_time, initial_extent
+from gns_pl.trajectory import nearest_neighbour_distance
 from tests.evaluation.made_up import DT, HEIGHT, LENGTH, SPACING, column, moved, standing
 
 G = 9.81
@@ -151,7 +152,7 @@ def test_penetration_is_the_depth_outside_the_box() -> None:
 def test_nearest_neighbours_of_a_lattice_with_one_pair_pushed_together() -> None:
     position = standing().position[0].astype(np.float64)
     position[0] = position[1] + [0, 0, 0.01]
-    distance = measures.nearest_neighbour_distance(position)
+    distance = nearest_neighbour_distance(position)
     assert distance[0] == distance[1] == pytest.approx(0.01)
     assert np.median(distance) == pytest.approx(SPACING, rel=1e-5)
 

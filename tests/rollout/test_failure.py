@@ -125,3 +125,19 @@ def test_a_rollout_ends_at_its_failure_and_says_so(column: Scene) -> None:
     made = rollout(simulator, start, 40, watch=Watch(start, simulator.config.dt))
     assert made.num_frames == round(wanted.time / DT) + 1
     assert made.provenance["failure"] == wanted.sentence and made.provenance["failed_at"] == wanted.time
+
+
+def test_frames_that_are_not_needed_may_be_passed_over(column: Scene) -> None:
+    start = make_start(column)
+    rest, lifted = start.position[0], start.position[0] + np.array([0, 0, 0.03])
+    frames = [rest, rest, rest, lifted, lifted, lifted, rest, rest]
+    all_shown, some_shown = Watch(start, DT, every=4), Watch(start, DT, every=4)
+    shown = 0
+    for frame in frames:
+        all_shown.look(frame)
+        if some_shown.due:
+            shown += 1
+            some_shown.look(frame)
+        else:
+            some_shown.skip()
+    assert shown == 4 and some_shown.failure == all_shown.failure and some_shown.failure is not None

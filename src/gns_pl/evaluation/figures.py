@@ -11,7 +11,7 @@ from gns_pl.evaluation.measures import particle_spacing
 from gns_pl.scene.extent import characteristic_time
 
 if TYPE_CHECKING:
-    from gns_pl.evaluation.evaluate import SceneResult
+    from gns_pl.evaluation.judge import SceneResult
     from gns_pl.scene import Scene
 
 LEAST_COLUMNS = 3

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.scene import Scene
-from gns_pl.trajectory import Trajectory
+from gns_pl.trajectory import Trajectory, nearest_neighbour_distance
 
 Floats = NDArray[np.float64]
 
@@ -27,8 +27,7 @@ ARREST_TOLERANCE = 0.02
 
 def particle_spacing(trajectory: Trajectory) -> float:
     """Return s = (V / N)^(1/D) [m], with V the volume that the N particles stand for: of all bodies they fill."""
-    volume = float(trajectory.volume().sum(dtype=np.float64))
-    return float((volume / trajectory.num_particles) ** (1 / trajectory.scene.dim))
+    return trajectory.spacing
 
 
 def percentile_front(coordinate: Floats, mass: Floats, percents: Sequence[float], width: float) -> Floats:
@@ -100,18 +99,6 @@ def penetration(trajectory: Trajectory) -> Floats:
     scene, position = trajectory.scene, trajectory.position.astype(np.float64)
     beyond = np.maximum(np.array(scene.lower) - position, position - np.array(scene.upper)).max(axis=2)
     return np.asarray(np.maximum(beyond, 0.0))
-
-
-def nearest_neighbour_distance(position: Floats) -> Floats:
-    """Return every particle's distance to the nearest other one, exactly (k-d tree) [N] [m].
-
-    Args:
-        position: [N, D] [m], N ≥ 2.
-    """
-    from scipy.spatial import cKDTree
-
-    distance, _ = cKDTree(position).query(position, k=2)
-    return np.asarray(distance[:, 1])
 
 
 def arrest_time(time: Floats, front: Floats) -> float:

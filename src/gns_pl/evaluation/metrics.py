@@ -11,7 +11,7 @@ import numpy as np
 
 from gns_pl.evaluation import measures
 from gns_pl.evaluation.curves import Curves, Quantity, compute_curves, cut, mobile, num_finite_frames
-from gns_pl.trajectory import Trajectory
+from gns_pl.trajectory import Trajectory, nearest_neighbour_distance
 
 MSE_STEPS = (1, 5, 20, 50, 100)
 """Numbers of steps n for which MSE_n is reported, besides the whole rollout."""
@@ -113,7 +113,7 @@ def summarise(trajectory: Trajectory, curves: Curves | None = None) -> dict[str,
     spacing = measures.particle_spacing(flow)
     depth = measures.penetration(flow) / spacing
     frames = np.unique(np.linspace(0, flow.num_frames - 1, min(SPACING_FRAMES, flow.num_frames)).round().astype(int))
-    near = [measures.nearest_neighbour_distance(flow.position[frame].astype(np.float64)) / spacing for frame in frames]
+    near = [nearest_neighbour_distance(flow.position[frame].astype(np.float64)) / spacing for frame in frames]
     dense = [solid_fraction_75(flow, frame) for frame in frames]
     values = {name: float(curves[name][-1]) for name in FINAL}
     return values | {

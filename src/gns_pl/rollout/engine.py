@@ -150,8 +150,7 @@ def unroll(
                 finite = {number: part for number, part in parts.items() if bool(torch.isfinite(part).all())}
             going = [number for number in finite if runs[number].num_steps > count]
             if watches is not None:
-                looked = {number: watches[number] for number in parts}
-                failed = [n for n, watch in looked.items() if watch and watch.look(parts[n].cpu().numpy())]
+                failed = {number for number in parts if _has_failed(watches[number], parts[number])}
                 going = [number for number in going if number not in failed]
             yield finite
             if rest is not None:
@@ -160,6 +159,16 @@ def unroll(
                 going = [number for number in going if not rest.reached(number, last[number], finite[number], dt)]
         histories = dict(zip(active, torch.split(history, lengths), strict=True))
         active = going
+
+
+def _has_failed(watch: Watch | None, position: Tensor) -> bool:
+    """Show a frame [N, D] [m] to a watch, where it needs it: what is on a GPU is not copied for nothing."""
+    if watch is None:
+        return False
+    if watch.due:
+        return watch.look(position.cpu().numpy()) is not None
+    watch.skip()
+    return False
 
 
 def _tensor(frames: Sequence[NDArray[np.float32]], device: torch.device) -> Tensor:

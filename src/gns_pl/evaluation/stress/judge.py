@@ -11,6 +11,7 @@ from typing import Any
 from gns_pl.errors import InputError
 from gns_pl.evaluation.doors import check_figures, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.scenes import chosen
+from gns_pl.io.atomic import write_atomically
 
 SOLVERS = ("learned", "mpm")
 
@@ -122,7 +123,7 @@ def run_suite(
                 report.write_rows(table, rows)
         print(f"\r{subject.name}: done\033[K", flush=True)
     files = [table, out / "stress.md"]
-    files[1].write_text(report.document(rows, seed), encoding="utf-8")
+    write_atomically(files[1], report.document(rows, seed).encode())
     if figures:
         files += report.draw(rows, out, shown)
     print(report.summary_table(rows))
