@@ -50,6 +50,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "fields": (),
     "errors": (),
     "machine": (),
+    "text": (),
 }
 
 
