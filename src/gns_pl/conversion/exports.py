@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.conversion.common import Common
 from gns_pl.conversion.facts import Facts
 from gns_pl.conversion.plan import Item
 from gns_pl.conversion.recordings import Assumed, si_blocks, start_of, whole_trajectory
@@ -21,11 +22,16 @@ from gns_pl.io import SPLITS
 from gns_pl.io.atomic import write_atomically
 from gns_pl.io.convert import ForeignSet, Recording
 from gns_pl.io.convert.geoelements import npz_writer
-from gns_pl.io.convert.lagrangebench import groups_writer
+from gns_pl.io.convert.lagrangebench import THEIRS, groups_writer
+from gns_pl.io.convert.metadata import PART_OF_SPLIT
 from gns_pl.trajectory import Trajectory
 
-RADIUS = 2.0
-"""Connectivity radius where the source has none, in spacings."""
+RADIUS = 2.1
+"""Connectivity radius where the source has none, in spacings: no distance of a lattice, which rounding would decide."""
+TYPE_SIZE = 16
+"""Numbers in which networks of geoelements/gns code a particle's type."""
+VELOCITIES = 5
+"""That they see."""
 
 
 @dataclass
@@ -34,20 +40,17 @@ class FrameStatistics:
 
     Attributes:
         dim: D.
-        frames: T of every trajectory, by split.
     """
 
     dim: int
-    frames: dict[str, list[int]] = field(default_factory=lambda: {split: [] for split in SPLITS})
 
     def __post_init__(self) -> None:
         self.velocity, self.acceleration = RunningStatistics(self.dim), RunningStatistics(self.dim)
 
     def passed(
-        self, blocks: Iterator[NDArray[np.float32]], item: Item, recording: Recording, moved: NDArray[np.bool_]
+        self, blocks: Iterator[NDArray[np.float32]], item: Item, moved: NDArray[np.bool_]
     ) -> Iterator[NDArray[np.float32]]:
         """Yield the blocks of a trajectory again, having looked at them."""
-        self.frames[item.split].append(recording.num_frames)
         before = np.empty((0, int(moved.sum()), self.dim))
         for block in blocks:
             yield block
@@ -59,14 +62,12 @@ class FrameStatistics:
                 before = kept[-2:]
 
     def metadata(self, found: ForeignSet, facts: Facts) -> dict[str, Any]:
-        """Return the keys that geoelements/gns and LagrangeBench share, in metres and frames."""
+        """Return what geoelements/gns and LagrangeBench are told of the whole set, in metres and frames."""
         radius = found.stated.radius
+        default = float(f"{RADIUS * facts.spacing:.6g}")
         return {
-            "bounds": [list(pair) for pair in zip(facts.lower, facts.upper, strict=True)],
-            "sequence_length": min(length for lengths in self.frames.values() for length in lengths),
-            "default_connectivity_radius": RADIUS * facts.spacing if radius is None else radius * facts.scale,
+            "default_connectivity_radius": default if radius is None else radius * facts.scale,
             "dim": facts.dim,
-            "dt": facts.dt,
             "vel_mean": self.velocity.mean.tolist(),
             "vel_std": self.velocity.std.tolist(),
             "acc_mean": self.acceleration.mean.tolist(),
@@ -98,12 +99,8 @@ class Export:
         """Yield number in the split, item, open recording and first frame of every recording of a split."""
         for number, item in enumerate(each for each in self.items if each.split == split):
             with self.found.recording(item.number) as recording:
-                yield (
-                    number,
-                    item,
-                    recording,
-                    start_of(recording, self.facts, self.assumed, self.found.stated, item.name),
-                )
+                own = self.facts.of(recording.stated)
+                yield number, item, recording, start_of(recording, own, self.assumed, self.found.stated, item.name)
             self.told(item.source)
 
 
@@ -111,46 +108,65 @@ def write_geoelements(export: Export) -> None:
     """Write train.npz, valid.npz, test.npz as geoelements/gns has them, and metadata.json.
 
     Raises:
-        InputError: more than one material feature, or a recording that cannot be used.
+        InputError: more than one material feature, one that some trajectories lack, several boxes or time steps in a
+            part of the metadata, obstacles, or a recording that cannot be used.
     """
-    seen = FrameStatistics(export.facts.dim)
+    seen, common = FrameStatistics(export.facts.dim), Common("geoelements/gns", PART_OF_SPLIT)
+    features: set[tuple[str, ...]] = set()
     for split in _splits(export.items):
         with npz_writer(export.folder / f"{split}.npz") as add:
             for number, item, recording, start in export.opened(split):
                 if len(start.material_features) > 1:
                     raise InputError(f"geoelements/gns has room for one material value, not {start.material_features}.")
-                blocks = seen.passed(si_blocks(recording, export.facts), item, recording, _moved(start))
+                features.add(start.material_features)
+                if len(features) > 1:
+                    raise InputError("geoelements/gns takes all trajectories to have a material value, or none to have.")
+                see(common, item, recording, start)
+                blocks = seen.passed(si_blocks(recording, export.facts), item, _moved(start))
                 whole = whole_trajectory(start, recording.num_frames, blocks)
                 arrays: dict[str, NDArray[Any]] = {"position": whole.position, "particle_type": start.particle_type}
                 if start.material_features:
                     arrays["material"] = start.material[:, 0]
                 add(f"simulation_trajectory_{number}", arrays)
-    _write_metadata(export.folder, seen.metadata(export.found, export.facts))
+    dim, metadata = export.facts.dim, seen.metadata(export.found, export.facts)
+    clip = export.found.stated.metadata.get("boundary_augment")
+    if clip is not None:
+        metadata["boundary_augment"] = clip
+    if features != {()}:  # their program knows the widths without a material value by itself
+        metadata |= {"nnode_in": (VELOCITIES + 2) * dim + TYPE_SIZE + 1, "nedge_in": dim + 1}
+    _write_metadata(export.folder, with_parts(metadata, common.said()))
+    _warn(common)
 
 
 def write_lagrangebench(export: Export) -> None:
     """Write train.h5, valid.h5, test.h5 as LagrangeBench has them, and metadata.json; material values have no place.
 
     Raises:
-        InputError: a recording that cannot be used.
+        InputError: several boxes, time steps or lengths, obstacles, or a recording that cannot be used.
     """
-    seen = FrameStatistics(export.facts.dim)
+    seen, whole = FrameStatistics(export.facts.dim), dict.fromkeys(SPLITS, "all")
+    common = Common("LagrangeBench", whole, equal_lengths=True)
     for split in _splits(export.items):
         with groups_writer(export.folder / f"{split}.h5") as add:
             for number, item, recording, start in export.opened(split):
-                blocks = seen.passed(si_blocks(recording, export.facts), item, recording, _moved(start))
+                see(common, item, recording, start)
+                kinds = set(start.particle_type.tolist()) - set(THEIRS)
+                common.note(start.scene, friction=np.unique(start.material).tolist(), particle_types=sorted(kinds))
+                blocks = seen.passed(si_blocks(recording, export.facts), item, _moved(start))
                 add(number, recording.num_frames, start.particle_type, blocks)
-    lengths = seen.frames
+    lengths = common.frames
     more = {
         "dx": export.facts.spacing,
         "write_every": 1,
+        "num_particles_max": common.num_particles,
         "periodic_boundary_conditions": [False] * export.facts.dim,
         "sequence_length_train": min(lengths["train"], default=0),
         "sequence_length_test": min(lengths["test"], default=0),
         "num_trajs_train": len(lengths["train"]),
         "num_trajs_test": len(lengths["test"]),
     }
-    _write_metadata(export.folder, {**seen.metadata(export.found, export.facts), **more})
+    _write_metadata(export.folder, {**seen.metadata(export.found, export.facts), **common.said(), **more})
+    _warn(common)
 
 
 def write_vtk(export: Export) -> None:
@@ -161,11 +177,39 @@ def write_vtk(export: Export) -> None:
     """
     from gns_pl.viz import write_paraview
 
+    common = Common("a VTK series", {})
     for split in _splits(export.items):
         for _, item, recording, start in export.opened(split):
+            box, obstacles = (start.scene.lower, start.scene.upper), start.scene.obstacles
+            common.note(start.scene, boxes=[box], obstacles=[None, *obstacles])
             blocks = si_blocks(recording, export.facts)
             whole = whole_trajectory(start, recording.num_frames, blocks)
             write_paraview(export.folder / split, whole, name=item.name)
+    _warn(common)
+
+
+def see(common: Common, item: Item, recording: Recording, start: Trajectory) -> None:
+    """Look at a trajectory (`Common.see`)."""
+    common.see(
+        item.split,
+        start.scene,
+        num_frames=recording.num_frames,
+        num_particles=recording.num_particles,
+        dt=start.dt,
+    )
+
+
+def with_parts(metadata: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str, Any]:
+    """Return metadata of all trajectories with what is said of them, or of each part of them (`Common.said`)."""
+    if "bounds" in said:
+        return {**said, **metadata}
+    return {part: {**of_part, **metadata} for part, of_part in said.items()}
+
+
+def _warn(common: Common) -> None:
+    warning = common.warning()
+    if warning:
+        print(warning)
 
 
 def _splits(items: Sequence[Item]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from gns_pl.conversion.sample import Sample, seen_spacing, take_sample
 from gns_pl.data.probes import measure_gravity
 from gns_pl.errors import InputError
-from gns_pl.io.convert import ForeignSet
+from gns_pl.io.convert import ForeignSet, Stated
+from gns_pl.io.convert.ours import KIND as OURS
 
 EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
 METRES = 0.03
 """Free fall within this share of it is in metres and seconds."""
-SI_KINDS = ("CB-Geo MPM", "gns_pl")
+SI_KINDS = ("CB-Geo MPM", OURS)
 """Sources that are in SI units by their own definition."""
 AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
 
@@ -82,6 +83,7 @@ class Facts:
         spacing: of neighbouring particles [m].
         types: particle types of the source → ours.
         notes: what was worked out and how, sentences.
+        given: names of what the user said, which then holds for every recording.
     """
 
     dt: float
@@ -93,11 +95,37 @@ class Facts:
     spacing: float
     types: Mapping[int, int]
     notes: tuple[str, ...]
+    given: tuple[str, ...] = ()
 
     @property
     def dim(self) -> int:
         """D."""
         return len(self.axes)
+
+    def of(self, stated: Stated | None) -> Facts:
+        """Return the facts of one recording: what it states of itself, unless the user said otherwise.
+
+        Args:
+            stated: by the recording alone, in the source's units and axes; None for nothing.
+
+        Raises:
+            InputError: a box or a gravity of other dimensions.
+        """
+        if stated is None:
+            return self
+        changes: dict[str, Any] = {}
+        for name in ("lower", "upper", "gravity"):
+            value = getattr(stated, name)
+            if value is None or name in self.given:
+                continue
+            if len(value) != self.dim:
+                raise InputError(f"has a {name} of {len(value)} components in {self.dim} dimensions.")
+            changes[name] = tuple(value[axis] * self.scale for axis in self.axes)
+        if stated.dt is not None and "dt" not in self.given:
+            changes["dt"] = float(stated.dt)
+        if stated.spacing is not None and "spacing" not in self.given:
+            changes["spacing"] = float(stated.spacing * self.scale)
+        return replace(self, **changes)
 
 
 @dataclass(frozen=True)
@@ -184,6 +212,7 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
+        given=tuple(name for name in ("dt", "lower", "upper", "gravity", "spacing") if getattr(given, name) is not None),
     )
     return Findings(facts, (), values, tuple(notes))
 
@@ -194,11 +223,13 @@ def turned_axes(axis: int, dim: int) -> tuple[int, ...]:
 
 
 def _vector(found: ForeignSet, axes: tuple[int, ...], gravity: float) -> tuple[float, ...]:
-    """Return the acceleration of gravity along our axes [D] [m/s²]: stated inclined, it stays so."""
+    """Return the acceleration of gravity along our axes [D] [m/s²]: stated inclined, it stays so, of any size."""
     stated = found.stated.gravity
-    if stated is not None and math.isclose(math.hypot(*stated), gravity, rel_tol=1e-6):
-        return tuple(stated[each] for each in axes)
-    return (*[0.0] * (len(axes) - 1), -gravity)
+    size = 0.0 if stated is None else math.hypot(*stated)
+    if stated is None or not size:
+        return (*[0.0] * (len(axes) - 1), 0.0 - gravity)
+    factor = 1.0 if math.isclose(size, gravity, rel_tol=1e-6) else gravity / size
+    return tuple(stated[each] * factor for each in axes)
 
 
 def _gravity(
@@ -208,10 +239,14 @@ def _gravity(
     axis = None if given.gravity_axis is None else axis_number(given.gravity_axis, sample.dim)
     if found.stated.gravity is not None and len(found.stated.gravity) == sample.dim:
         vector = np.array(found.stated.gravity)
-        axis = int(np.abs(vector).argmax()) if axis is None else axis
-        if vector[axis] > 0:
+        size = float(np.linalg.norm(vector))
+        if axis is None:  # ours are along our axes as they are, however steep; without gravity, nothing is to be turned
+            axis = sample.dim - 1 if not size or found.kind == OURS else int(np.abs(vector).argmax())
+        if vector[axis] > 0 and found.kind != OURS:
             raise InputError(f"{found.path}: gravity points upwards along its axis; mirror the data first.")
-        return axis, float(np.linalg.norm(vector))
+        return axis, size
+    if given.gravity == 0:
+        return sample.dim - 1 if axis is None else axis, None
     if dt is None or not sample.windows:
         return axis, None
     rounding = float(np.finfo(np.float32).eps * max(np.abs(sample.lower).max(), np.abs(sample.upper).max()) / dt**2)

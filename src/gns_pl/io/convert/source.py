@@ -7,7 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
+from gns_pl.scene import Scene
 
 MOST_TYPES = 1000
 """Numbers of particle types beyond ± this are taken for damage."""
@@ -35,7 +36,7 @@ class Stated:
         friction_angle_deg: of the material [degrees].
         radius: connectivity radius its models use.
         periodic: whether each axis is periodic [D]; empty if nothing is said.
-        metadata: the file beside the data, as it is.
+        metadata: the file beside the data, as it is: metadata.json, or a manifest of ours.
         notes: sentences for the report.
     """
 
@@ -67,6 +68,9 @@ class Recording:
         mass: [N] [kg]; None if the source does not say.
         dtype: of the positions in the source.
         notes: sentences for the report.
+        stated: what the source says of this trajectory alone; what it leaves open is as in the whole set.
+        scene: what was simulated, where the source has it as ours do.
+        provenance: how it was made, where the source says so.
     """
 
     num_frames: int
@@ -79,6 +83,9 @@ class Recording:
     mass: NDArray[np.float64] | None = None
     dtype: str = "float32"
     notes: tuple[str, ...] = ()
+    stated: Stated | None = None
+    scene: Scene | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.num_frames < 1 or len(self.particle_type) < 1:
@@ -131,6 +138,7 @@ class ForeignSet:
         names: split ("train", "valid", "test", or "" where the source has none) and name of every recording.
         open: number of a recording → the recording, for as long as the block lasts.
         stated: what the source says of itself.
+        of_split: split → what it says of that split alone, where splits differ.
     """
 
     kind: str
@@ -138,6 +146,7 @@ class ForeignSet:
     names: tuple[tuple[str, str], ...]
     open: Callable[[int], AbstractContextManager[Recording]]
     stated: Stated
+    of_split: Mapping[str, Stated] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -146,8 +155,10 @@ class ForeignSet:
     @contextmanager
     def recording(self, number: int) -> Iterator[Recording]:
         """Yield a recording; whatever goes wrong with it is an `InputError` that names it."""
-        with reading(f"{self.path}, {self.names[number][1]}"), self.open(number) as recording:
-            yield recording
+        split, name = self.names[number]
+        with reading(f"{self.path}, {name}"), self.open(number) as recording:
+            own = recording.stated or self.of_split.get(split)
+            yield recording if own is None else replace(recording, stated=own)
 
 
 @contextmanager
