@@ -108,9 +108,7 @@ def test_statistics_are_those_of_what_moves(geoelements: Path, tmp_path: Path) -
 @pytest.mark.parametrize("to", ["geoelements", "lagrangebench", "vtk"])
 def test_round_trips_keep_every_bit(tmp_path: Path, to: str) -> None:
     truth = EQUAL if to == "lagrangebench" else SCRIPTED
-    ours = converted(
-        fixtures.write_geoelements(tmp_path / "theirs", truth, TYPES, np.float64(0.5)), tmp_path / "ours"
-    )
+    ours = converted(fixtures.write_geoelements(tmp_path / "theirs", truth, TYPES, np.float64(0.5)), tmp_path / "ours")
     theirs = converted(ours, tmp_path / "exported", to=to)
     back = converted(theirs, tmp_path / "back", **({**BOX} if to == "vtk" else {}))
     same(positions(ours), truth)
@@ -297,13 +295,15 @@ def test_a_broken_off_conversion_goes_on(geoelements: Path, tmp_path: Path, monk
 
 
 @pytest.mark.parametrize("to", ["gns_pl", "geoelements", "lagrangebench"])
-def test_a_full_disk_is_one_sentence(
-    equal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str
-) -> None:
+def test_a_full_disk_is_one_sentence(equal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str) -> None:
     def full(*arguments: Any, **options: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    for place in ("gns_pl.io.stream.h5py.File.flush", "gns_pl.io.convert.geoelements.write_pickle", "h5py.Group.create_group"):
+    for place in (
+        "gns_pl.io.stream.h5py.File.flush",
+        "gns_pl.io.convert.geoelements.write_pickle",
+        "h5py.Group.create_group",
+    ):
         monkeypatch.setattr(place, full)
     with pytest.raises(StorageError, match="cannot be written"):
         converted(equal, tmp_path / "ours", to=to)

@@ -24,21 +24,33 @@ class Common:
         what: name of the format.
         part_of: split → the part of the metadata that speaks for it; every part has one box and one time step.
         equal_lengths: all trajectories of a split have as many frames.
+        most_features: material values of a particle; with any, all trajectories have as many. None drops all.
 
     Attributes:
         frames: T of every trajectory, by split.
         num_particles: of the largest.
+        num_features: material values of a particle.
     """
 
-    def __init__(self, what: str, part_of: Mapping[str, str], *, equal_lengths: bool = False) -> None:
+    def __init__(
+        self,
+        what: str,
+        part_of: Mapping[str, str],
+        *,
+        equal_lengths: bool = False,
+        most_features: int | None = None,
+    ) -> None:
         self.what, self.part_of, self.equal_lengths = what, part_of, equal_lengths
+        self.most_features, self.num_features = most_features, 0
         self.frames: dict[str, list[int]] = {split: [] for split in SPLITS}
         self.num_particles = 0
         self._boxes: dict[str, list[list[float]]] = {}
         self._steps: dict[str, float] = {}
         self._seen: dict[str, list[Any]] = {}
 
-    def see(self, split: str, scene: Scene, *, num_frames: int, num_particles: int, dt: float) -> None:
+    def see(
+        self, split: str, scene: Scene, *, num_frames: int, num_particles: int, dt: float, num_features: int
+    ) -> None:
         """Look at a trajectory.
 
         Args:
@@ -47,6 +59,7 @@ class Common:
             num_frames: T.
             num_particles: N.
             dt: time between frames [s].
+            num_features: material values of a particle.
 
         Raises:
             InputError: what the format cannot say of it beside those before; the caller names the trajectory.
@@ -70,6 +83,15 @@ class Common:
                 f"its scene has {len(scene.obstacles)} obstacles, and {self.what} has no place for them, so that "
                 f"particles would bounce off nothing; {APART}, those without obstacles"
             )
+        if self.most_features is not None:
+            if num_features > self.most_features:
+                raise InputError(f"has {num_features} material values, and {self.what} takes {self.most_features}.")
+            if num_features != self.num_features and any(self.frames.values()):
+                raise InputError(
+                    f"has {num_features} material values, those before it {self.num_features}, and {self.what} takes "
+                    f"all to have as many; {APART}"
+                )
+        self.num_features = num_features
         lengths = self.frames[split]
         if self.equal_lengths and lengths and lengths[0] != num_frames:
             raise InputError(

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from gns_pl.conversion.facts import Facts
 from gns_pl.conversion.plan import Item
 from gns_pl.conversion.recordings import Assumed, si_blocks, start_of, whole_trajectory
 from gns_pl.data.statistics import RunningStatistics
-from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import SPLITS
 from gns_pl.io.atomic import write_atomically
@@ -24,8 +23,11 @@ from gns_pl.io.convert import ForeignSet, Recording
 from gns_pl.io.convert.geoelements import npz_writer
 from gns_pl.io.convert.lagrangebench import THEIRS, groups_writer
 from gns_pl.io.convert.metadata import PART_OF_SPLIT
+from gns_pl.io.convert.source import reading
 from gns_pl.trajectory import Trajectory
 
+Blocks: TypeAlias = Iterator[NDArray[np.float32]]
+"""All frames of a recording, block by block [n, N, D] [m]."""
 RADIUS = 2.1
 """Connectivity radius where the source has none, in spacings: no distance of a lattice, which rounding would decide."""
 TYPE_SIZE = 16
@@ -47,9 +49,7 @@ class FrameStatistics:
     def __post_init__(self) -> None:
         self.velocity, self.acceleration = RunningStatistics(self.dim), RunningStatistics(self.dim)
 
-    def passed(
-        self, blocks: Iterator[NDArray[np.float32]], item: Item, moved: NDArray[np.bool_]
-    ) -> Iterator[NDArray[np.float32]]:
+    def passed(self, blocks: Blocks, item: Item, moved: NDArray[np.bool_]) -> Blocks:
         """Yield the blocks of a trajectory again, having looked at them."""
         before = np.empty((0, int(moved.sum()), self.dim))
         for block in blocks:
@@ -85,6 +85,7 @@ class Export:
         items: its recordings.
         facts: units and axes.
         assumed: what the source does not say.
+        common: what the format says once for all of them.
         told: called with the name of every recording that is done.
     """
 
@@ -93,14 +94,29 @@ class Export:
     items: Sequence[Item]
     facts: Facts
     assumed: Assumed
+    common: Common
     told: Callable[[str], None]
 
-    def opened(self, split: str) -> Iterator[tuple[int, Item, Recording, Trajectory]]:
-        """Yield number in the split, item, open recording and first frame of every recording of a split."""
+    def opened(self, split: str) -> Iterator[tuple[int, Item, Recording, Trajectory, Blocks]]:
+        """Yield number in the split, item, open recording, first frame and all frames of every recording of a split.
+
+        Raises:
+            InputError: a recording that cannot be used, or that `common` refuses; it is named.
+        """
         for number, item in enumerate(each for each in self.items if each.split == split):
             with self.found.recording(item.number) as recording:
                 own = self.facts.of(recording.stated)
-                yield number, item, recording, start_of(recording, own, self.assumed, self.found.stated, item.name)
+                start = start_of(recording, own, self.assumed, self.found.stated, item.name)
+                if self.common.part_of:
+                    self.common.see(
+                        split,
+                        start.scene,
+                        num_frames=recording.num_frames,
+                        num_particles=recording.num_particles,
+                        dt=start.dt,
+                        num_features=len(start.material_features),
+                    )
+                yield number, item, recording, start, named(item.source, si_blocks(recording, own))
             self.told(item.source)
 
 
@@ -111,31 +127,24 @@ def write_geoelements(export: Export) -> None:
         InputError: more than one material feature, one that some trajectories lack, several boxes or time steps in a
             part of the metadata, obstacles, or a recording that cannot be used.
     """
-    seen, common = FrameStatistics(export.facts.dim), Common("geoelements/gns", PART_OF_SPLIT)
-    features: set[tuple[str, ...]] = set()
+    seen, common = FrameStatistics(export.facts.dim), export.common
     for split in _splits(export.items):
         with npz_writer(export.folder / f"{split}.npz") as add:
-            for number, item, recording, start in export.opened(split):
-                if len(start.material_features) > 1:
-                    raise InputError(f"geoelements/gns has room for one material value, not {start.material_features}.")
-                features.add(start.material_features)
-                if len(features) > 1:
-                    raise InputError("geoelements/gns takes all trajectories to have a material value, or none to have.")
-                see(common, item, recording, start)
-                blocks = seen.passed(si_blocks(recording, export.facts), item, _moved(start))
-                whole = whole_trajectory(start, recording.num_frames, blocks)
+            for number, item, recording, start, blocks in export.opened(split):
+                looked = seen.passed(blocks, item, _moved(start))
+                whole = whole_trajectory(start, recording.num_frames, looked)
                 arrays: dict[str, NDArray[Any]] = {"position": whole.position, "particle_type": start.particle_type}
                 if start.material_features:
                     arrays["material"] = start.material[:, 0]
                 add(f"simulation_trajectory_{number}", arrays)
     dim, metadata = export.facts.dim, seen.metadata(export.found, export.facts)
-    clip = export.found.stated.metadata.get("boundary_augment")
+    stated = export.found.stated.metadata
+    clip = stated.get("boundary_augment", stated.get("spec", {}).get("imported", {}).get("boundary_augment"))
     if clip is not None:
         metadata["boundary_augment"] = clip
-    if features != {()}:  # their program knows the widths without a material value by itself
+    if common.num_features:  # their program knows the widths without a material value by itself
         metadata |= {"nnode_in": (VELOCITIES + 2) * dim + TYPE_SIZE + 1, "nedge_in": dim + 1}
     _write_metadata(export.folder, with_parts(metadata, common.said()))
-    _warn(common)
 
 
 def write_lagrangebench(export: Export) -> None:
@@ -144,16 +153,13 @@ def write_lagrangebench(export: Export) -> None:
     Raises:
         InputError: several boxes, time steps or lengths, obstacles, or a recording that cannot be used.
     """
-    seen, whole = FrameStatistics(export.facts.dim), dict.fromkeys(SPLITS, "all")
-    common = Common("LagrangeBench", whole, equal_lengths=True)
+    seen, common = FrameStatistics(export.facts.dim), export.common
     for split in _splits(export.items):
         with groups_writer(export.folder / f"{split}.h5") as add:
-            for number, item, recording, start in export.opened(split):
-                see(common, item, recording, start)
+            for number, item, recording, start, blocks in export.opened(split):
                 kinds = set(start.particle_type.tolist()) - set(THEIRS)
                 common.note(start.scene, friction=np.unique(start.material).tolist(), particle_types=sorted(kinds))
-                blocks = seen.passed(si_blocks(recording, export.facts), item, _moved(start))
-                add(number, recording.num_frames, start.particle_type, blocks)
+                add(number, recording.num_frames, start.particle_type, seen.passed(blocks, item, _moved(start)))
     lengths = common.frames
     more = {
         "dx": export.facts.spacing,
@@ -166,7 +172,6 @@ def write_lagrangebench(export: Export) -> None:
         "num_trajs_test": len(lengths["test"]),
     }
     _write_metadata(export.folder, {**seen.metadata(export.found, export.facts), **common.said(), **more})
-    _warn(common)
 
 
 def write_vtk(export: Export) -> None:
@@ -177,26 +182,29 @@ def write_vtk(export: Export) -> None:
     """
     from gns_pl.viz import write_paraview
 
-    common = Common("a VTK series", {})
     for split in _splits(export.items):
-        for _, item, recording, start in export.opened(split):
+        for _, item, recording, start, blocks in export.opened(split):
             box, obstacles = (start.scene.lower, start.scene.upper), start.scene.obstacles
-            common.note(start.scene, boxes=[box], obstacles=[None, *obstacles])
-            blocks = si_blocks(recording, export.facts)
+            export.common.note(start.scene, boxes=[box], obstacles=[None, *obstacles])
             whole = whole_trajectory(start, recording.num_frames, blocks)
             write_paraview(export.folder / split, whole, name=item.name)
-    _warn(common)
 
 
-def see(common: Common, item: Item, recording: Recording, start: Trajectory) -> None:
-    """Look at a trajectory (`Common.see`)."""
-    common.see(
-        item.split,
-        start.scene,
-        num_frames=recording.num_frames,
-        num_particles=recording.num_particles,
-        dt=start.dt,
-    )
+WRITERS: dict[str, tuple[Callable[[Export], None], Callable[[], Common]]] = {
+    "geoelements": (write_geoelements, lambda: Common("geoelements/gns", PART_OF_SPLIT, most_features=1)),
+    "lagrangebench": (
+        write_lagrangebench,
+        lambda: Common("LagrangeBench", dict.fromkeys(SPLITS, "all"), equal_lengths=True),
+    ),
+    "vtk": (write_vtk, lambda: Common("a VTK series", {})),
+}
+"""Format → what writes it, and what it says once for all trajectories."""
+
+
+def named(source: str, blocks: Blocks) -> Blocks:
+    """Yield blocks again; a frame that cannot be used is told with the name of its recording."""
+    with reading(source):
+        yield from blocks
 
 
 def with_parts(metadata: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str, Any]:
@@ -204,12 +212,6 @@ def with_parts(metadata: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str
     if "bounds" in said:
         return {**said, **metadata}
     return {part: {**of_part, **metadata} for part, of_part in said.items()}
-
-
-def _warn(common: Common) -> None:
-    warning = common.warning()
-    if warning:
-        print(warning)
 
 
 def _splits(items: Sequence[Item]) -> list[str]:

@@ -22,6 +22,8 @@ METRES = 0.03
 """Free fall within this share of it is in metres and seconds."""
 SI_KINDS = ("CB-Geo MPM", OURS)
 """Sources that are in SI units by their own definition."""
+OF_RECORDINGS = ("dt", "lower", "upper", "gravity", "spacing")
+"""What every recording may state of itself."""
 AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
 
 
@@ -212,7 +214,7 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
-        given=tuple(name for name in ("dt", "lower", "upper", "gravity", "spacing") if getattr(given, name) is not None),
+        given=tuple(name for name in OF_RECORDINGS if getattr(given, name) is not None),
     )
     return Findings(facts, (), values, tuple(notes))
 

@@ -1,10 +1,10 @@
-"""Scenes of our own trajectories on their way into another set: kept as they are, or scaled and turned with the axes."""
+"""Scenes of our own trajectories on their way into another set: as they are, or scaled and turned with the axes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from gns_pl.conversion.facts import Facts
 from gns_pl.scene import FACES, Body, Box, Obstacle, Scene
@@ -28,9 +28,7 @@ def carried_scene(scene: Scene, facts: Facts) -> Scene:
         lower=facts.lower,
         upper=facts.upper,
         gravity=facts.gravity,
-        bodies=tuple(
-            replace(body, **_lengths(body, facts, "position", "size", "velocity")) for body in scene.bodies
-        ),
+        bodies=tuple(replace(body, **_lengths(body, facts, "position", "size", "velocity")) for body in scene.bodies),
         walls=turned_faces(scene.walls, facts.axes),
         obstacles=tuple(_obstacle(each, facts) for each in scene.obstacles),
     )
@@ -43,7 +41,7 @@ def _obstacle(obstacle: Obstacle, facts: Facts) -> Obstacle:
     return replace(obstacle, **_lengths(obstacle, facts, "point"), normal=normal)
 
 
-def _lengths(part: Body | Obstacle, facts: Facts, *names: str) -> dict[str, tuple[float, ...]]:
+def _lengths(part: Body | Obstacle, facts: Facts, *names: str) -> dict[str, Any]:
     return {name: tuple(getattr(part, name)[axis] * facts.scale for axis in facts.axes) for name in names}
 
 

@@ -73,7 +73,11 @@ def _write(path: Path, found: ForeignSet, item: Item, facts: Facts, assumed: Ass
         try:
             for block in si_blocks(recording, own):
                 stream.append(block)
-            made = {"solver": f"imported from {found.kind}", "source": item.source, "notes": list(recording.notes)}
+            made: dict[str, object] = {
+                "solver": f"imported from {found.kind}",
+                "source": item.source,
+                "notes": list(recording.notes),
+            }
             stream.finish({**made, "original": dict(recording.provenance)} if recording.provenance else made)
         finally:
             stream.close()
@@ -132,7 +136,8 @@ def imported_spec(found: ForeignSet, facts: Facts, assumed: Assumed, name: str) 
     before: dict[str, Any] = found.stated.metadata["spec"] if found.kind == OURS else {}
     earlier: dict[str, Any] = before.get("imported", {})
     axes, radius = earlier.get("axes", range(facts.dim)), found.stated.radius
-    walls = before.get("walls", dict.fromkeys(FACES[facts.dim], dict(assumed.wall)))
+    walls = before.get("walls", {face: dict(assumed.wall) for face in FACES[facts.dim]})
+    clip = found.stated.metadata.get("boundary_augment", earlier.get("boundary_augment"))
     imported = {
         "format": found.kind,
         "gns_pl": gns_pl.__version__,
@@ -141,6 +146,7 @@ def imported_spec(found: ForeignSet, facts: Facts, assumed: Assumed, name: str) 
         "types": {**earlier.get("types", {}), **{str(key): value for key, value in facts.types.items()}},
         "connectivity_radius": None if radius is None else radius * facts.scale,
         "notes": [*earlier.get("notes", ()), *facts.notes],
+        **({} if clip is None else {"boundary_augment": clip}),
     }
     return {
         "name": name,

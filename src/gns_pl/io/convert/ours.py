@@ -22,6 +22,7 @@ def open_ours(path: Path) -> ForeignSet:
     Raises:
         InputError: a manifest or a file that cannot be used.
     """
+    spacing: float | None
     if path.is_dir():
         manifest = read_manifest(path)
         names = [(split, name) for split, files in manifest.splits.items() for name in files]
@@ -31,7 +32,8 @@ def open_ours(path: Path) -> ForeignSet:
     else:
         scene = read_header(path).scene.to_dict()
         spec = {"material": scene["materials"][scene["bodies"][0]["material"]], "walls": scene["walls"]}
-        names, folder, spacing, content = [("", path.name)], path.parent, _spacing(path), {"spec": spec, "seed": 0}
+        names, folder, content = [("", path.name)], path.parent, {"spec": spec, "seed": 0}
+        spacing = _spacing(path)
     radius = content["spec"].get("imported", {}).get("connectivity_radius")
     first = _stated(read_header(folder / names[0][1]))
     stated = dataclasses.replace(first, spacing=spacing, radius=radius, metadata=content)

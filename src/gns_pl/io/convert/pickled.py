@@ -179,11 +179,11 @@ class _Pickler(pickle._Pickler):
         """Write the name of a function or a class."""
         module = str(getattr(obj, "__module__", ""))
         if not module.startswith("numpy._core"):
-            super().save_global(obj, name)
+            super().save_global(obj, name)  # type: ignore[misc]
             return
         named = module.replace("numpy._core", "numpy.core", 1), name or obj.__name__
-        self.write(pickle.GLOBAL + "{}\n{}\n".format(*named).encode("ascii"))
-        self.memoize(obj)
+        self.write(pickle.GLOBAL + "{}\n{}\n".format(*named).encode("ascii"))  # type: ignore[attr-defined]
+        self.memoize(obj)  # type: ignore[attr-defined]
 
 
 def write_pickle(stream: BinaryIO, value: NDArray[Any]) -> None:
