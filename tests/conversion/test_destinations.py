@@ -129,13 +129,20 @@ def test_lagrangebench_opens_and_pads(tmp_path: Path) -> None:
 
 
 def test_lagrangebench_takes_one_length_of_a_split(tmp_path: Path) -> None:
-    flights = {"train": [a_flight(a_scene()), a_flight(a_scene())], "test": [a_flight(a_scene(), 6)]}
+    flights = {"train": [a_flight(a_scene()), a_flight(a_scene())], "test": [a_flight(a_scene(), 7)]}
     assert converted(write_ours(tmp_path / "a", flights), tmp_path / "b", to="lagrangebench").is_dir()
     flights["train"].append(a_flight(a_scene(), 9))
     source = write_ours(tmp_path / "c", flights)
     with pytest.raises(InputError, match=r"trajectory_0002\.h5: it has 9 frames, those before it 8, and LagrangeBench"):
         converted(source, tmp_path / "d", to="lagrangebench")
     assert not (tmp_path / "d").exists() and not (tmp_path / ".d.converting").exists()
+
+
+@pytest.mark.parametrize("to", ["geoelements", "lagrangebench"])
+def test_a_history_and_a_frame_are_needed_there(tmp_path: Path, to: str) -> None:
+    source = write_ours(tmp_path / "a", {"train": [a_flight(a_scene(), 7)], "test": [a_flight(a_scene(), 6)]})
+    with pytest.raises(InputError, match=r"trajectory_0001\.h5: it has 6 frames, and .* rolls out 7 or more"):
+        converted(source, tmp_path / "b", to=to)
 
 
 def without_material(flight: Trajectory) -> Trajectory:

@@ -35,6 +35,7 @@ def metadata_of(dim: int, seed: int = 3) -> dict[str, Any]:
     generator = np.random.default_rng(seed)
     return {
         "bounds": [[0.0, 1.0]] * dim,
+        "sequence_length": 320,
         "default_connectivity_radius": RADIUS,
         "dim": dim,
         "dt": 0.01,
@@ -225,7 +226,8 @@ def test_there_and_back(tmp_path: Path, edge_update: str) -> None:
     written = json.loads((tmp_path / "out/metadata.json").read_text())
     for key in ("vel_mean", "vel_std", "acc_mean", "acc_std", "default_connectivity_radius", "boundary_augment"):
         np.testing.assert_allclose(written[key], metadata[key], rtol=1e-5, atol=1e-9)
-    assert written["nnode_in"] == 38 and written["noise_std"] == pytest.approx(NOISE)
+    assert written["bounds"] == metadata["bounds"] and written["sequence_length"] == 320 and written["dt"] == 0.01
+    assert written["nnode_in"] == 38 and written["nedge_in"] == 4 and written["noise_std"] == pytest.approx(NOISE)
 
 
 def test_models_of_ours_with_other_features_do_not_fit(tmp_path: Path) -> None:

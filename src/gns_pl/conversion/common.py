@@ -14,6 +14,8 @@ from gns_pl.errors import InputError
 from gns_pl.io import SPLITS
 from gns_pl.scene import Scene
 
+SHORTEST = 7
+"""Frames: the history of six that networks in these programs see, and the next."""
 APART = "convert these apart (source=FILE takes one trajectory of a set of ours)"
 
 
@@ -49,7 +51,15 @@ class Common:
         self._seen: dict[str, list[Any]] = {}
 
     def see(
-        self, split: str, scene: Scene, *, num_frames: int, num_particles: int, dt: float, num_features: int
+        self,
+        split: str,
+        scene: Scene,
+        *,
+        num_frames: int,
+        num_particles: int,
+        dt: float,
+        num_features: int,
+        bounds: list[list[float]] | None = None,
     ) -> None:
         """Look at a trajectory.
 
@@ -60,13 +70,14 @@ class Common:
             num_particles: N.
             dt: time between frames [s].
             num_features: material values of a particle.
+            bounds: lower and upper end of the box along every axis [D, 2] [m]; None takes the scene's.
 
         Raises:
             InputError: what the format cannot say of it beside those before; the caller names the trajectory.
         """
         part = self.part_of[split]
         where = " and ".join(each for each in SPLITS if self.part_of[each] == part)
-        box = [list(pair) for pair in zip(scene.lower, scene.upper, strict=True)]
+        box = [list(pair) for pair in zip(scene.lower, scene.upper, strict=True)] if bounds is None else bounds
         known, step = self._boxes.setdefault(part, box), self._steps.setdefault(part, dt)
         if box != known:
             raise InputError(
@@ -92,6 +103,10 @@ class Common:
                     f"all to have as many; {APART}"
                 )
         self.num_features = num_features
+        if num_frames < SHORTEST:
+            raise InputError(
+                f"it has {num_frames} frames, and {self.what} learns from and rolls out {SHORTEST} or more."
+            )
         lengths = self.frames[split]
         if self.equal_lengths and lengths and lengths[0] != num_frames:
             raise InputError(

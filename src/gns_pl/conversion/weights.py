@@ -19,7 +19,7 @@ from gns_pl.fields import MATERIAL_FEATURES
 from gns_pl.frame_simulator import EDGE_UPDATES, FrameConfig, FrameSimulator
 from gns_pl.io import file_sha256, manifest_sha256, read_manifest
 from gns_pl.io.convert import geoelements_weights as theirs
-from gns_pl.io.convert.metadata import NAME, frame_statistics, positive, read_json, read_metadata
+from gns_pl.io.convert.metadata import NAME, frame_statistics, part_of, positive, read_json, read_metadata
 from gns_pl.io.convert.source import reading
 
 UNKNOWN = (
@@ -75,12 +75,8 @@ def inspect_weights(source: Path, metadata: str | None = None) -> list[str]:
 
 
 def _metadata(source: Path, metadata: str | None) -> dict[str, Any]:
-    if metadata is None:
-        return read_metadata(source.parent)
-    path = Path(metadata)
-    if path.name == NAME:
-        return read_metadata(path.parent) if path.is_file() else read_json(path)
-    return read_json(path)
+    """Return the metadata of the training, by which the weights are normalised."""
+    return read_metadata(source.parent) if metadata is None else part_of(read_json(Path(metadata)), "train")
 
 
 def import_weights(
@@ -151,6 +147,8 @@ def import_weights(
             "sha256": file_sha256(source),
             "edge_update": edge_update or "unknown, taken for residual",
             "noise_std": noise_std * frame.scale,
+            "scale": frame.scale,
+            "axes": list(frame.axes),
             "metadata": stated,
         },
     }
