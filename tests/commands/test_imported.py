@@ -125,8 +125,14 @@ def test_weights_of_geoelements_are_judged_and_simulate(tmp_path: Path) -> None:
     run = door(tmp_path, "simulate.py", "ckpt=a.ckpt", *scene)
     assert run.returncode == 0, run.stderr
     assert read_trajectory(tmp_path / "runs/simulate/column_collapse.h5").num_frames >= 2
+    for each in (carried, judged, run):
+        assert "their own program starts from 6 true frames" in each.stdout
+        assert "evaluation.start=frames" in each.stdout
     back = door(tmp_path, "convert.py", "source=a.ckpt", "target=out/model-0.pt")
     assert back.returncode == 0, back.stderr
+    written = json.loads((tmp_path / "out/metadata.json").read_text())
+    for key in ("bounds", "sequence_length", "vel_mean", "vel_std", "acc_mean", "acc_std", "dim"):
+        assert written[key] == metadata[key]
     first, second = (
         torch.load(tmp_path / path, weights_only=True) for path in ("theirs/model-500.pt", "out/model-0.pt")
     )

@@ -16,7 +16,7 @@ from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.conversion.compare import compare_edge_updates
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES
-from gns_pl.frame_simulator import EDGE_UPDATES, FrameConfig, FrameSimulator
+from gns_pl.frame_simulator import EDGE_UPDATES, FrameConfig, FrameSimulator, cold_start
 from gns_pl.io import file_sha256, manifest_sha256, read_manifest
 from gns_pl.io.convert import geoelements_weights as theirs
 from gns_pl.io.convert.metadata import NAME, frame_statistics, part_of, positive, read_json, read_metadata
@@ -155,7 +155,9 @@ def import_weights(
     if data is not None:
         provenance["manifest_sha256"] = manifest_sha256(data)
     target.parent.mkdir(parents=True, exist_ok=True)
-    save_checkpoint(target, Checkpoint(simulators[edge_update or EDGE_UPDATES[0]].eval(), spec, provenance))
+    simulator = simulators[edge_update or EDGE_UPDATES[0]].eval()
+    save_checkpoint(target, Checkpoint(simulator, spec, provenance))
+    print(cold_start(simulator.config, provenance))
     return target
 
 
