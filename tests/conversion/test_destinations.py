@@ -149,6 +149,16 @@ def without_material(flight: Trajectory) -> Trajectory:
     return replace(flight, material=flight.material[:, :0], material_features=())
 
 
+@pytest.mark.parametrize("to", ["geoelements", "lagrangebench"])
+def test_tests_alone_have_statistics_of_their_own(tmp_path: Path, to: str) -> None:
+    flight = a_flight(a_scene(), 9)
+    theirs = converted(write_ours(tmp_path / "a", {"test": [flight]}), tmp_path / "b", to=to)
+    metadata = metadata_of(theirs)
+    step = np.diff(flight.position.astype(np.float64), axis=0).reshape(-1, 3)
+    np.testing.assert_allclose(metadata["vel_mean"], step.mean(axis=0), atol=1e-12)
+    assert metadata["sequence_length"] == 9 and metadata["bounds"] == [[0.0, 1.0]] * 3
+
+
 def test_a_material_value_is_of_all_or_none(tmp_path: Path) -> None:
     flights = [a_flight(a_scene()), without_material(a_flight(a_scene()))]
     source = write_ours(tmp_path / "a", {"train": flights})

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gns_pl.conversion import inspect_source
 from gns_pl.conversion.facts import Given, find_out, work_out
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
@@ -138,6 +139,21 @@ def test_one_trajectory_of_ours_says_all_of_itself(tmp_path: Path) -> None:
     assert manifest.spec["material"] == vars(PLASTIC)
     assert manifest.spec["walls"] == {face: vars(Wall("friction", 0.385)) for face in FACES[3]}
     assert read_trajectory(tmp_path / "b/train_0000.h5").scene == flight.scene
+
+
+def test_a_folder_of_sets_names_them(tmp_path: Path) -> None:
+    """Sets of every k-th point lie in folders of one that has no manifest itself."""
+    (tmp_path / "a").mkdir()
+    write_ours(tmp_path / "a/every_3", {"train": [a_flight(a_scene())]})
+    with pytest.raises(InputError, match=r"of a data set of gns_pl, of which .*a has 1; name one: .*every_3"):
+        open_set(tmp_path / "a")
+    assert len(open_set(tmp_path / "a/every_3").names) == 1
+
+
+def test_a_report_says_what_differs(tmp_path: Path) -> None:
+    flights = {"train": [a_flight(each) for each in (a_scene(), DIFFERENT["box"], DIFFERENT["gravity"])]}
+    lines = inspect_source(open_set(write_ours(tmp_path / "a", flights)), Given())
+    assert "  note: trajectories differ in box, gravity; what is told here is that of the first" in lines
 
 
 def test_another_unit_and_other_axes_take_the_scene_along(tmp_path: Path) -> None:

@@ -38,13 +38,15 @@ VELOCITIES = 5
 
 @dataclass
 class FrameStatistics:
-    """Displacements between frames, and their changes, of the training split's moved particles, seen block by block.
+    """Displacements between frames, and their changes, of the moved particles of a split, seen block by block.
 
     Attributes:
         dim: D.
+        split: "train", or the first that there is.
     """
 
     dim: int
+    split: str
 
     def __post_init__(self) -> None:
         self.velocity, self.acceleration = RunningStatistics(self.dim), RunningStatistics(self.dim)
@@ -54,7 +56,7 @@ class FrameStatistics:
         before = np.empty((0, int(moved.sum()), self.dim))
         for block in blocks:
             yield block
-            if item.split == "train":
+            if item.split == self.split:
                 kept = np.concatenate([before, block[:, moved].astype(np.float64)])
                 step = np.diff(kept, axis=0)
                 self.velocity.update(step[max(0, len(before) - 1) :].reshape(-1, self.dim))
@@ -127,7 +129,7 @@ def write_geoelements(export: Export) -> None:
         InputError: more than one material feature, one that some trajectories lack, several boxes or time steps in a
             part of the metadata, obstacles, or a recording that cannot be used.
     """
-    seen, common = FrameStatistics(export.facts.dim), export.common
+    seen, common = FrameStatistics(export.facts.dim, _splits(export.items)[0]), export.common
     for split in _splits(export.items):
         with npz_writer(export.folder / f"{split}.npz") as add:
             for number, item, recording, start, blocks in export.opened(split):
@@ -153,7 +155,7 @@ def write_lagrangebench(export: Export) -> None:
     Raises:
         InputError: several boxes, time steps or lengths, obstacles, or a recording that cannot be used.
     """
-    seen, common = FrameStatistics(export.facts.dim), export.common
+    seen, common = FrameStatistics(export.facts.dim, _splits(export.items)[0]), export.common
     for split in _splits(export.items):
         with groups_writer(export.folder / f"{split}.h5") as add:
             for number, item, recording, start, blocks in export.opened(split):

@@ -226,7 +226,7 @@ def _said(folder: Path, dt: float, box: list[list[float]] | None) -> dict[str, A
 def _data_folder(checkpoint: Checkpoint) -> Path | None:
     """Return where a checkpoint's data were when it was trained; None if it does not say."""
     data = checkpoint.data
-    if "root" not in data:
+    if not data.get("root"):
         return None
     root = Path(data["root"])
     return root if is_imported(data) else stored_folders(root, DatasetSpec.from_dict(data))[chosen_every(data)]
