@@ -118,7 +118,7 @@ class Export:
                         dt=start.dt,
                         num_features=len(start.material_features),
                     )
-                yield number, item, recording, start, named(item.source, si_blocks(recording, own))
+                yield number, item, recording, start, named(f"{self.found.path}, {item.source}", si_blocks(recording, own))
             self.told(item.source)
 
 
