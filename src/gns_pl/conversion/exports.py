@@ -118,7 +118,8 @@ class Export:
                         dt=start.dt,
                         num_features=len(start.material_features),
                     )
-                yield number, item, recording, start, named(f"{self.found.path}, {item.source}", si_blocks(recording, own))
+                blocks = named(f"{self.found.path}, {item.source}", si_blocks(recording, own))
+                yield number, item, recording, start, blocks
             self.told(item.source)
 
 
