@@ -39,9 +39,10 @@ def draw(
     from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
 
     curves = {name: {TITLES[key]: values for key, values in result.curves.items()} for name, result in results.items()}
+    bands = {name: {TITLES["learned"]: result.band} for name, result in results.items()}
     files = [out / "runout_height.png", out / "runout_height.pdf", out / "energy.png"]
-    plot_curves(curves, ("runout", "height"), files[:2])
-    plot_curves(curves, ("energy", "speed"), files[2:])
+    plot_curves(curves, ("runout", "height"), files[:2], bands)
+    plot_curves(curves, ("energy", "speed"), files[2:], bands)
     far = {name: result.familiarity for name, result in results.items() if result.familiarity is not None}
     if far:
         files.append(out / "familiarity.png")
@@ -110,7 +111,7 @@ def of_columns(reports: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[flo
             (
                 each["aspect_ratio"],
                 each[key]["runout_99"] if each[key]["runout_99"] is not None else nothing,
-                each["reference_spread"].get("runout_99", 0.0) if key == "reference" else 0.0,
+                (each["reference_spread"] if key == "reference" else each["placements"]["std"]).get("runout_99", 0.0),
             )
             for each in reports
         ]

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gns_pl.evaluation.report import HEADER, NOTE, describe, number, percent, scene_rows
+from gns_pl.evaluation.report import NOTE, describe, header, number, percent, scene_rows
+from gns_pl.evaluation.speed import speed_sentence
 from gns_pl.io import atomic_path
 
 TEMPLATE = "report.html"
@@ -51,7 +52,7 @@ def write_page(path: Path, documents: Mapping[str, Mapping[str, Any]], folders: 
     models = [_model(name, document, folders[name]) for name, document in documents.items()]
     scenes = list(dict.fromkeys(scene for document in documents.values() for scene in document["scenes"]))
     text = environment.get_template(TEMPLATE).render(
-        models=models, scenes=scenes, header=HEADER, note=NOTE, compared=COMPARED, documents=documents
+        models=models, scenes=scenes, note=NOTE, compared=COMPARED, documents=documents
     )
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -63,6 +64,7 @@ def _model(name: str, document: Mapping[str, Any], folder: Path) -> dict[str, An
     scenes = {
         key: {
             "text": describe(scene).replace("**", ""),
+            "header": header(scene),
             "rows": scene_rows(scene),
             "figures": [_figure(folder / pattern.format(key), caption) for pattern, caption in OF_SCENE],
             "verdict": verdict(scene),
@@ -86,29 +88,34 @@ def _figure(path: Path, caption: str) -> dict[str, str] | None:
 
 
 def verdict(scene: Mapping[str, Any]) -> str:
-    """Return one sentence about a scene: how far the runout is off, beside what the reference leaves open, and when."""
+    """Return what matters of a scene: how far the runout is off, beside what the reference leaves open, and times."""
+    placed = scene["placements"]
     if scene["failed_at"] is not None:
         return f"The rollout failed after {scene['failed_at']:.3g} s: there is nothing to judge."
     if scene.get("failure"):
         return f"No sand does what this rollout did: {scene['failure']} (docs/stability.md)."
-    errors, spread, wall = scene["errors"]["learned"], scene["reference_spread"], scene["wall_seconds"]
-    if errors["runout_99_error"] is None:
+    if placed["number"] and placed["failed"] == placed["number"]:
+        return f"The rollouts of all {placed['number']} placements failed: there is nothing to judge."
+    spread = scene["reference_spread"]
+    error = scene["errors"]["learned"]["runout_99_error"]
+    if error is None:
         return "The reference does not advance, so there is no relative error of the runout."
-    error = errors["runout_99_error"]
     text = f"The final runout of 99 % of the mass is {abs(100 * error):.1f} % {'longer' if error > 0 else 'shorter'}"
-    text += " than by MPM"
+    text += " than by MPM" if scene["reference_points"]["all"] else " than by the stored points of MPM"
+    known = [value for value in placed["runout_99_error"] if value is not None]
+    if known:
+        std, largest = placed["std"]["runout_99_error"], max(known, key=abs)
+        text += f" in the mean of {len(known)} placements (± {100 * std:.1f} %, at most {100 * largest:+.1f} %)"
     own, truth = spread.get("runout_99"), scene["reference"]["runout_99"]
     if own is not None and truth:
-        text += f", which itself changes by {100 * own / abs(truth):.0f} % on other cells"
-    if wall["learned"] and wall["reference"]:
-        ratio = wall["reference"] / wall["learned"]
-        text += f"; {number(wall['learned'])} s instead of {number(wall['reference'])} s, "
-        text += f"{ratio:.2g} times faster" if ratio >= 1 else f"{1 / ratio:.2g} times slower"
-    return f"{text}."
+        text += f"; MPM itself changes by {100 * own / abs(truth):.0f} % on other cells"
+    if placed["failed"]:
+        text += f"; {placed['failed']} of {placed['number']} placements failed"
+    return f"{text}. {speed_sentence(scene)}".rstrip()
 
 
 def trust(scene: Mapping[str, Any]) -> str:
-    """Return in words whether the run stayed where the network was trained, and how far placements come apart."""
+    """Return in words whether the run stayed where the network was trained."""
     found = scene["familiarity"]
     if found is None:
         text = "The checkpoint does not say what it saw in training."
@@ -116,12 +123,6 @@ def trust(scene: Mapping[str, Any]) -> str:
         text = f"Within what was seen in training (distance {found['early']:.2g} until τc)."
     else:
         text = f"Beyond what was seen in training: {found['sentence']}."
-    placed = [value for value in scene["placements"] if value is not None]
-    if placed:
-        text += (
-            f" From {len(scene['placements'])} other placements the runout is {min(placed):.3g} to {max(placed):.3g} L0"
-        )
-        text += "." if len(placed) == len(scene["placements"]) else "; others failed."
     return text
 
 

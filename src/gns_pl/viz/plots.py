@@ -72,7 +72,10 @@ PANELS = {
 
 
 def plot_curves(
-    curves: Mapping[str, Mapping[str, Mapping[str, Floats]]], panels: Sequence[str], paths: Sequence[Path]
+    curves: Mapping[str, Mapping[str, Mapping[str, Floats]]],
+    panels: Sequence[str],
+    paths: Sequence[Path],
+    bands: Mapping[str, Mapping[str, Mapping[str, tuple[Floats, Floats]]]] | None = None,
 ) -> None:
     """Draw one row of panels per scene, every simulator in its colour, over t/τc.
 
@@ -80,6 +83,8 @@ def plot_curves(
         curves: scene → simulator (the reference first) → name → [T]; "time_tau" is the horizontal axis.
         panels: names in `PANELS`, one column each.
         paths: files to write; the ending says the format.
+        bands: scene → simulator → name of a curve → its lowest and highest values [T], shaded behind the curve; only
+            a panel's main curve, its first, has one.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -91,7 +96,7 @@ def plot_curves(
         grid = figure.subplots(len(curves), len(panels), squeeze=False, sharex="row")
         for row, (scene, simulators) in zip(grid, curves.items(), strict=True):
             for axes, name in zip(row, panels, strict=True):
-                _draw_panel(axes, PANELS[name], simulators)
+                _draw_panel(axes, PANELS[name], simulators, (bands or {}).get(scene, {}))
             row[0].set_title(scene, loc="left", fontweight="bold")
             for axes in row:
                 axes.set_xlabel("time $t/\\tau_c$")
@@ -105,10 +110,21 @@ def plot_curves(
             figure.savefig(path)
 
 
-def _draw_panel(axes: Any, panel: Panel, simulators: Mapping[str, Mapping[str, Floats]]) -> None:
+def _draw_panel(
+    axes: Any,
+    panel: Panel,
+    simulators: Mapping[str, Mapping[str, Floats]],
+    bands: Mapping[str, Mapping[str, tuple[Floats, Floats]]],
+) -> None:
     reference = next(iter(simulators.values()))
     scale = abs(float(reference[panel.normalise][0])) or 1.0 if panel.normalise else 1.0
-    for index, curves in enumerate(simulators.values()):
+    for index, (simulator, curves) in enumerate(simulators.items()):
+        band = bands.get(simulator, {}).get(next(iter(panel.lines)))
+        if band is not None:
+            low, high = (edge / scale for edge in band)
+            axes.fill_between(
+                curves["time_tau"], low, high, color=COLOURS[index % len(COLOURS)], alpha=0.2, linewidth=0
+            )
         for order, (name, (_, style)) in enumerate(panel.lines.items()):
             axes.plot(
                 curves["time_tau"],
