@@ -194,7 +194,7 @@ def test_the_headline_is_the_mean_over_placements(checkpoint, tmp_path, monkeypa
     )  # untrained, it does what no sand does
     mpm = {"cell_size": 0.1, "points_per_direction": 2, "jitter": 0.5}
     save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02), DATA | {"mpm": mpm}, {"steps": 0}))
-    document = run(checkpoint, tmp_path, only="short", placements=3, figures=True, seed=5)
+    document = run(checkpoint, tmp_path, only="short", placements=3, seed=5)
     judged = load_checkpoint(checkpoint)
     scene, found = scene_from_dict(document["scenes"]["short"]["scene"]), document["scenes"]["short"]
     starts = [start_of(scene, judged, seed, {}) for seed in (5, 6, 7)]
