@@ -111,7 +111,7 @@ def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
     assert scene["failed_at"] is None and scene["aspect_ratio"] == pytest.approx(0.5)
     assert scene["no_motion"]["runout_99"] == 0
     assert scene["wall_seconds"]["learned"] > 0
-    assert stored["checkpoint"]["data"]["mpm"] == {"cell_size": 0.1}
+    assert stored["checkpoint"]["data"]["mpm"] == {"cell_size": 0.1} and stored["checkpoint"]["name"] == "run"
 
     table = read_curves(out / "curves_short.csv")
     assert len(table) == 2 * len(CURVES) - 2

@@ -81,6 +81,11 @@ def test_a_page_needs_no_other_file(checkpoint, tmp_path) -> None:  # noqa: F811
     links = {attributes["href"][1:] for tag, attributes in tags.seen if tag == "a"}
     assert links <= ids and {"short", "tall", "provenance"} <= ids
     assert document["run"]["machine"] in text and "evaluation" in text
+    # On a phone the label stands above its numbers, so that "learned" and "error" are not off the screen.
+    tables = [attributes.get("class") for tag, attributes in tags.seen if tag == "table"]
+    assert tables == ["narrow", "narrow", "plain"] and re.search(
+        r"max-width: 38rem.*\n.*table\.narrow tr { display: grid", text
+    )
 
 
 def test_several_checkpoints_stand_beside_each_other(checkpoint, tmp_path) -> None:  # noqa: F811

@@ -162,7 +162,7 @@ def test_obstacles_are_drawn_and_materials_have_their_colours(tmp_path, dim) -> 
         red, green, blue = np.moveaxis(image, 2, 0)
         orange, sea = (red > blue + 60) & (red > green + 20), blue > red + 60  # E69F00 and 0072B2, lit and in shade
         block = np.abs(image - grey).max(axis=2) <= 4
-        counts = [mask[: int(0.9 * len(image))].sum(axis=1) for mask in (sea, orange, block)]  # without the legend
+        counts = [mask[: int(0.85 * len(image))].sum(axis=1) for mask in (sea, orange, block)]  # without the legend
         panel = [np.flatnonzero(count > 0.3 * count.max()) for count in counts]
         assert panel[0].max() < panel[1].max() and panel[1].max() <= panel[2].min() + 3
         # Blocks are 0.2 m high, bodies 0.4 m.

@@ -14,7 +14,7 @@ from gns_pl.io import atomic_path
 TEMPLATE = "report.html"
 
 SHARED = (
-    ("runout_height", "Runout and height over time"),
+    ("runout_height", "Runout and height over time; shaded is the range of the placements"),
     ("laws", "Runout beside published laws"),
     ("energy", "Energy and speed"),
     ("familiarity", "How far each run is from training; above the dashed line it is beyond (docs/trust.md)"),
@@ -22,7 +22,11 @@ SHARED = (
 """Figures of all scenes together: name of the file, caption."""
 
 OF_SCENE = (
-    ("evolution_{}.png", "Snapshots; the line is the failure surface"),
+    (
+        "evolution_{}.png",
+        "Snapshots of the run from MPM's own points, those that the network has; where bodies stand on the floor the "
+        "line is the failure surface",
+    ),
     ("still_{}.png", "The end in three dimensions"),
     ("{}.gif", "The whole run"),
 )

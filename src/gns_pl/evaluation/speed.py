@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import statistics
-import time
 from collections.abc import Mapping, Sequence
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.evaluation.curves import cut
@@ -80,9 +80,9 @@ def measure_speed(
         try:
             way.run(scene.replace(duration=interval), interval=interval, seed=seed)  # compiles what is needed
             for number in range(RUNS):
-                began = time.perf_counter()
+                began = perf_counter()
                 run = way.run(scene, interval=interval, seed=seed + 1 + number)
-                times.append(time.perf_counter() - began)
+                times.append(perf_counter() - began)
                 missed.append(Measured(cut(run, frames)).curves["runout_99"][-1] / truth - 1)
         except SimulationError:
             continue
