@@ -114,3 +114,21 @@ def test_the_name_that_was_typed_is_the_name_everywhere(tmp_path, monkeypatch) -
         path.touch()
     found = named_checkpoints([*map(str, paths[:3]), "mine.ckpt", str(paths[0]), "column-fast", "collapse"])
     assert list(found) == ["a", "a_last", "a_last_3", "mine", "column-fast"]
+
+
+def test_where_the_data_lie_now_is_passed_on(tmp_path, monkeypatch) -> None:
+    from hydra import compose, initialize_config_dir
+
+    from gns_pl.evaluation import evaluate
+
+    passed = {}
+    monkeypatch.setattr(evaluate, "evaluate_all", lambda checkpoints, **settings: passed.update(settings))
+    overrides = ["ckpt=collapse", "data.root=some/folder", "evaluation.start=frames", "evaluation.figures=false"]
+    with initialize_config_dir(str(DOOR.parent / "conf"), version_base=None):
+        evaluate.evaluate_config(compose("evaluate", overrides=overrides))
+    assert (passed["root"], passed["start"], passed["placements"], passed["speed"]) == (
+        "some/folder",
+        "frames",
+        6,
+        False,
+    )

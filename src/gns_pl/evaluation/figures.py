@@ -85,14 +85,16 @@ def draw_in_space(
         Paths of the files.
     """
     from gns_pl.viz import render_film, render_still
+    from gns_pl.viz.colouring import material_names
 
     files = []
     for name, result in results.items():
         learned, reference = (result.trajectories[key] for key in ("learned", "reference"))
         shown = {TITLES["learned"]: learned, TITLES["reference"]: reference}
-        files.append(render_film(out / f"film_{name}.{film}", shown, num_frames=num_frames, width=width - width % 2))
+        colour, path = "material" if material_names(reference) else "displacement", out / f"film_{name}.{film}"
+        files.append(render_film(path, shown, colour=colour, num_frames=num_frames, width=width - width % 2))
         still, beside = out / f"still_{name}.png", {TITLES["reference"]: reference}
-        files.append(render_still(still, learned, title=TITLES["learned"], side_by_side=beside))
+        files.append(render_still(still, learned, colour=colour, title=TITLES["learned"], side_by_side=beside))
     return files
 
 

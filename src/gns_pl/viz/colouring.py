@@ -52,6 +52,11 @@ class Colouring:
             share = np.clip(displacement(trajectory, frame) / self.limit, 0, 1)
         return np.where(trajectory.particle_type == ParticleType.KINEMATIC, OUTSIDE, share)
 
+    def pixels(self, trajectory: Trajectory, frame: int) -> NDArray[np.uint8]:
+        """Return the colours of the particles of a frame [N, 3]."""
+        colours = np.asarray(self.colour_map()(self.shares(trajectory, frame)))[:, :3]
+        return np.asarray((255 * colours).round(), dtype=np.uint8)
+
     def colour_map(self) -> ListedColormap:
         """Return the colours of shares, grey below 0."""
         from matplotlib.colors import ListedColormap
