@@ -16,8 +16,10 @@ from gns_pl.evaluation import evaluate as module
 from gns_pl.evaluation import references as module_references
 from gns_pl.evaluation.curves import CURVES, compute_curves, cut, read_curves
 from gns_pl.evaluation.evaluate import evaluate_all
+from gns_pl.evaluation.figures import of_columns
 from gns_pl.evaluation.measures import position_mse, rollout_mse
 from gns_pl.evaluation.metrics import COMPARISON, SUMMARY, profile_l1, summarise
+from gns_pl.evaluation.tracking import _table
 from gns_pl.io import read_trajectory
 from gns_pl.rollout.fitted import start_of
 from gns_pl.scene import scene_from_dict, write_scene
@@ -80,6 +82,18 @@ def references(monkeypatch):
         module_references, "reference_trajectory", lambda scene, *, mpm, **rest: made_up(scene, mpm, **rest)
     )
     return calls
+
+
+class Tables:
+    """Stand-in for W&B: a table that keeps its rows."""
+
+    class Table:
+        def __init__(self, columns) -> None:
+            self.columns, self.rows = columns, []
+
+        def add_data(self, *row) -> None:
+            assert len(row) == len(self.columns)
+            self.rows.append(row)
 
 
 def run(checkpoint, tmp_path, **changes):
@@ -180,6 +194,9 @@ def test_numbers_of_the_reference_are_of_all_its_points_and_the_rollout_has_ever
             assert scene["reference"][name] == pytest.approx(expected[name], rel=1e-5), name
         assert read_curves(out / "curves_short.csv")["reference.runout_99"][-1] == pytest.approx(expected["runout_99"])
         assert f"| {expected['runout_99']:.3g} |" in (out / "table.md").read_text()
+        assert of_columns([scene])["MPM"][0][1] == pytest.approx(expected["runout_99"])
+        logged = {(row[0], row[1]): row[2] for row in _table(Tables, {"scenes": {"short": scene}}).rows}
+        assert logged["short", "runout_99"] == pytest.approx(expected["runout_99"])
         errors = scene["errors"]["learned"]
         for name in ("runout_99", "height_99", "mean_height", "kinetic_energy_peak"):
             assert errors[f"{name}_error"] == pytest.approx(got[name] / expected[name] - 1, abs=1e-5), name
