@@ -187,6 +187,7 @@ def evaluate(
             raise InputError(f"scene {key!r} has {frames} frames, too few to go on from {given} (evaluation.start).")
     make_folder(out)
     move(checkpoint, device, "evaluation.device")
+    print(report.describe_start(config.to_dict(), given))
     results, files = {}, []
     for key, scene in built.items():
         source = "MPM (computed once, then cached)" if split is None else "the stored trajectory"

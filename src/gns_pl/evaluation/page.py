@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gns_pl.evaluation.report import NOTE, describe, header, number, percent, scene_rows
+from gns_pl.evaluation.report import NOTE, describe, describe_start, header, number, percent, scene_rows
 from gns_pl.evaluation.speed import speed_sentence
 from gns_pl.io import atomic_path
 
@@ -145,6 +145,7 @@ def provenance(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("data set", str(data.get("name", ""))),
         ("hash of the data", str(made.get("manifest_sha256", ""))),
         ("commit of the training", str(made.get("commit", ""))),
+        ("start", describe_start(model, next(iter(document["scenes"].values()))["given_frames"])),
         ("this evaluation", f"{run['command']}, {run['date']}"),
         ("machine", str(run["machine"])),
         (

@@ -147,6 +147,22 @@ def describe(scene: Mapping[str, Any]) -> str:
     return text
 
 
+def describe_start(model: Mapping[str, Any], given: int) -> str:
+    """Return what rollouts start from; of a network of another program also that it starts there from true frames.
+
+    Args:
+        model: the simulator's config as plain values.
+        given: true frames that every rollout starts from.
+    """
+    if given > 1:
+        return f"Rollouts start from {given} frames of the reference."
+    text = "Rollouts start from the scene alone, with straight motion before."
+    if "edge_update" in model:  # of geoelements/gns, and of what is trained with its features
+        text += f" The program that this network is of gives it {model['input_sequence_length']} true frames instead: "
+        text += "evaluation.start=frames"
+    return text
+
+
 def describe_mpm(scene: Mapping[str, Any]) -> str:
     """Return in words how the reference was made, where times were taken, and on which other cells it was run."""
     made, points = scene["made_by"]["reference"], scene["reference_points"]
