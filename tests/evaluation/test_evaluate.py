@@ -321,14 +321,18 @@ def test_other_refusals(checkpoint, tmp_path, monkeypatch) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="another folder with out="):
         run(checkpoint, tmp_path, out=tmp_path / "file")
+    with pytest.raises(InputError, match=r"evaluation\.placements must be 0 or more, not -1"):
+        run(checkpoint, tmp_path, placements=-1)
     with pytest.raises(InputError, match=r"evaluation\.device=abacus"):
         run(checkpoint, tmp_path, device="abacus")
     write_scene(column(2), tmp_path / "flat.yaml")
     with pytest.raises(InputError, match="has 2 dimensions"):
         run(checkpoint, tmp_path, scenes=[str(tmp_path / "flat.yaml")])
     save_checkpoint(tmp_path / "foreign.ckpt", Checkpoint(make_simulator(), {"name": "imported"}, {}))
-    with pytest.raises(InputError, match="by which MPM"):
+    with pytest.raises(InputError, match=r"by which MPM.*data\.root=FOLDER evaluation\.split=test"):
         run(tmp_path / "foreign.ckpt", tmp_path)
+    with pytest.raises(InputError, match="by which MPM they were made, so none can be timed"):
+        run(tmp_path / "foreign.ckpt", tmp_path, speed=True)
     monkeypatch.setattr("gns_pl.viz.missing_packages", lambda: ["matplotlib"])
     with pytest.raises(InputError, match=r"pip install 'gns_pl\[viz\]'"):
         module.check_figures()

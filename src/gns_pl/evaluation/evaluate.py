@@ -156,6 +156,8 @@ def evaluate(
         raise InputError(f"evaluation.film must be mp4, gif or null, not {film!r}.")
     if start not in STARTS:
         raise InputError(f"evaluation.start must be one of {', '.join(STARTS)}, not {start!r}.")
+    if placements < 0:
+        raise InputError(f"evaluation.placements must be 0 or more, not {placements}.")
     checkpoint = load_checkpoint(checkpoint_path)
     if root is not None:
         checkpoint = with_data(checkpoint, root)

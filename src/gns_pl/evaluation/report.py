@@ -158,7 +158,7 @@ def describe_start(model: Mapping[str, Any], given: int) -> str:
         return f"Rollouts start from {given} frames of the reference."
     text = "Rollouts start from the scene alone, with straight motion before."
     if "edge_update" in model:  # of geoelements/gns, and of what is trained with its features
-        text += f" The program that this network is of gives it {model['input_sequence_length']} true frames instead: "
+        text += f" geoelements/gns starts such a network from {model['input_sequence_length']} true frames instead: "
         text += "evaluation.start=frames"
     return text
 
