@@ -1,23 +1,24 @@
-"""What the shipped models are worth: the table of the README and docs/results.md, written where they stand.
+"""What the shipped models are worth: one table, in the README, in docs/results.md and on the models' cards.
 
     python benchmarks/results.py                          # measure what docs/results.csv lacks, write the tables
     python benchmarks/results.py --from-table             # write the tables again
     python benchmarks/results.py --from-table --sweeps FOLDER …   # and those of sweeps, into docs/results.md
 
 Every model runs the test columns (a = 0.8, 2.0) and the validation columns (1.2, 3.0) from six placements, stabilised
-as `simulate.py` does it, on one thread. Errors are against the MPM that taught it, all points of it: the mean of three
-placements in plane strain, one run in three dimensions. The standard deviation over the placements of the model stands
-beside. A time is that of a whole column, neighbours and copies included. Tables go between marks in the files, so that
-the words around them stay.
+as `simulate.py` does it. Errors are against all points of the MPM that taught it, in the placement that `evaluate.py`
+takes, so its page says the same: the mean over the placements, their standard deviation, the largest in brackets. A
+time is that of a whole column, neighbours and copies included: CPU seconds of one thread, the least of the six runs,
+since what else a machine does only adds to them. Tables go between marks in the files, so that the words around them
+stay.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import math
 import re
 import shutil
-import statistics
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -28,20 +29,18 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from gns_pl.evaluation.chart.converged import Converged, errors_of
-from gns_pl.evaluation.measures import speeds
+from gns_pl.evaluation.metrics import Measured
+from gns_pl.evaluation.placements import Placements
 from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.generation import reference_trajectory
 from gns_pl.io import file_sha256
 from gns_pl.machine import machine_name
-from gns_pl.pretrained import ALIASES, find_checkpoint, find_corrector
+from gns_pl.pretrained import ALIASES, FOLDER, find_checkpoint, find_corrector
 from gns_pl.rollout.fitted import CorrectedWay, FittedWay, LearnedWay
 
 ROOT = Path(__file__).parents[1]
-MODELS = {"column-fast": "column-fast", "column-fast-plane": "column-fast-plane", "corrected_plane": "corrected_plane"}
-PLACEMENTS = 6
-REFERENCES = {2: 3, 3: 1}
-"""Runs of the teacher by dimension; one of 34,000 points hardly depends on their placement."""
+RESULTS = ROOT / "docs" / "results.csv"
+MODELS = ("column-fast", "column-fast-plane", "friction_plane", "corrected_plane")
 
 
 @dataclass(frozen=True)
@@ -57,12 +56,10 @@ class Row:
         runout: mean error of the final 99 % runout over the placements, relative.
         runout_std: standard deviation of it.
         runout_largest: the largest of them.
-        reference_std: standard deviation of the teacher's own, over its placements.
         height: mean error of the final mean height, relative.
         profile: mean area between the final profiles over the deposit's.
-        curve: mean absolute difference of the runout over time, over its final value.
-        speed: root mean square of the particles in the last frame, mean over the placements [m/s].
-        seconds: median of a run.
+        speed: root mean square of the particles in the last frame, over the placements [m/s].
+        seconds: CPU time of a run on one thread, the least of the placements.
         machine: that ran it.
     """
 
@@ -74,13 +71,17 @@ class Row:
     runout: float
     runout_std: float
     runout_largest: float
-    reference_std: float
     height: float
     profile: float
-    curve: float
     speed: float
     seconds: float
     machine: str
+
+
+def file_of(model: str) -> Path:
+    """Return the file of a model that comes with the package."""
+    corrector = find_corrector(model)
+    return corrector if corrector.suffix == ".corrector" else find_checkpoint(model)
 
 
 def settings(name: str) -> dict[str, object]:
@@ -89,12 +90,11 @@ def settings(name: str) -> dict[str, object]:
         return OmegaConf.to_container(compose("evaluate", overrides=[f"evaluation={name}"]), resolve=True)  # type: ignore[return-value]
 
 
-def measure(cache: Path, known: Sequence[Row], path: Path) -> list[Row]:
+def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
     """Return a row for every model and column; one that is known is not measured again."""
     rows: list[Row] = []
-    for model, name in MODELS.items():
-        corrector = find_corrector(name)
-        trained = corrector if corrector.suffix == ".corrector" else find_checkpoint(name)
+    for model in MODELS:
+        trained = file_of(model)
         way: FittedWay
         for split, named in (("test", "columns"), ("validation", "validation")):
             config = settings(named)
@@ -107,43 +107,38 @@ def measure(cache: Path, known: Sequence[Row], path: Path) -> list[Row]:
                 evaluation["columns"], None, only=None, domain=evaluation["domain"],
                 duration=evaluation["duration"], interval=way.interval, data=way.data,
             )  # fmt: skip
+            seeds = range(evaluation["seed"], evaluation["seed"] + evaluation["placements"])
             for scene in scenes.values():
                 row = next(
                     (r for r in known if (r.model, r.scene, r.sha256) == (model, scene.name, file_sha256(trained))),
                     None,
                 )
                 if row is None:
-                    fine = [
-                        reference_trajectory(scene, way.data["mpm"], frame_interval=way.interval, seed=seed, cache_directory=cache)  # noqa: E501
-                        for seed in range(REFERENCES[way.dim])
-                    ]  # fmt: skip
-                    judged = Converged.by(fine, scene, flat=scene, uncertainty=0.0, identity="", words="")
-                    row = judge(model, file_sha256(trained), way, judged, fine, split)
+                    whole = reference_trajectory(
+                        scene, way.data["mpm"], frame_interval=way.interval, seed=seeds[0], cache_directory=cache
+                    )
+                    row = judge(model, file_sha256(trained), way, Measured(whole), seeds, split)
                 rows.append(row)
-                write(path, rows)
+                write(RESULTS, rows)
                 print(row)
     return rows
 
 
-def judge(model: str, sha256: str, way: FittedWay, judged: Converged, fine: list, split: str) -> Row:
+def judge(model: str, sha256: str, way: FittedWay, whole: Measured, seeds: Sequence[int], split: str) -> Row:
     """Run a model on a column from all placements."""
-    way.run(judged.scene, interval=way.interval, seed=0)  # what is compiled at first use is not timed
-    errors, seconds, speed = [], [], []
-    for seed in range(PLACEMENTS):
-        began = time.perf_counter()
-        made = way.run(judged.scene, interval=way.interval, seed=seed)
-        seconds.append(time.perf_counter() - began)
-        errors.append(errors_of(made, judged))
-        speed.append(float(np.sqrt(np.square(speeds(made)[-1]).mean())))
-    own = [errors_of(each, judged)["runout_error"] for each in fine]
-    runout = np.array([each["runout_error"] for each in errors])
-    mean = {key: float(np.mean([each[key] for each in errors])) for key in errors[0]}
+    scene, runs, seconds = whole.trajectory.scene, [], []
+    way.run(scene, interval=way.interval, seed=seeds[0])  # what is compiled at first use is not timed
+    for seed in seeds:
+        began = time.process_time()
+        runs.append(way.run(scene, interval=way.interval, seed=seed))
+        seconds.append(time.process_time() - began)
+    placed = Placements.of(runs, whole)
+    runout, mean, std = placed.values["runout_99_error"], placed.over(np.mean), placed.over(np.std)
     return Row(
-        model=model, sha256=sha256, scene=judged.scene.name, split=split, particles=made.num_particles,
-        runout=float(runout.mean()), runout_std=float(runout.std()),
-        runout_largest=float(runout[np.abs(runout).argmax()]),
-        reference_std=float(np.std(own)), height=mean["height_error"], profile=mean["profile_error"],
-        curve=mean["curve_error"], speed=float(np.mean(speed)), seconds=statistics.median(seconds),
+        model=model, sha256=sha256, scene=scene.name, split=split, particles=runs[0].num_particles,
+        runout=mean["runout_99_error"], runout_std=std["runout_99_error"], runout_largest=max(runout, key=abs),
+        height=mean["mean_height_error"], profile=mean["profile_l1"],
+        speed=math.sqrt(2 * mean["kinetic_energy"] / float(runs[0].mass.sum())), seconds=min(seconds),
         machine=machine_name(),
     )  # fmt: skip
 
@@ -185,6 +180,19 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def tables(rows: Sequence[Row]) -> dict[Path, str]:
+    """Return file → the table that stands in it: all of it, the test columns in the README, a model's on its card."""
+    cards = {FOLDER / f"{file_of(model).stem}.md": [row for row in rows if row.model == model] for model in MODELS}
+    parts = {ROOT / "docs" / "results.md": rows, ROOT / "README.md": [row for row in rows if row.split == "test"]}
+    return {path: table(part) for path, part in (parts | cards).items()}
+
+
+def write_tables(rows: Sequence[Row]) -> None:
+    """Put the tables where they belong."""
+    for path, text in tables(rows).items():
+        put(path, "models", text)
+
+
 def put(path: Path, name: str, content: str) -> None:
     """Put a table between its marks in a file."""
     text = path.read_text(encoding="utf-8")
@@ -203,10 +211,8 @@ def main() -> None:
     parser.add_argument("--sweeps", type=Path, nargs="*", default=[], help="folders of finished sweeps, NAME each")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    path = ROOT / "docs" / "results.csv"
-    rows = read(path) if args.from_table else measure(args.cache, read(path), path)
-    put(ROOT / "docs" / "results.md", "models", table(rows))
-    put(ROOT / "README.md", "models", table([row for row in rows if row.split == "test"]))
+    rows = read(RESULTS)
+    write_tables(rows if args.from_table else measure(args.cache, rows))
     for folder in args.sweeps:
         for suffix in ("csv", "png"):
             shutil.copy(folder / f"sweep.{suffix}", ROOT / "docs" / f"sweep_{folder.name}.{suffix}")

@@ -13,7 +13,14 @@ from tests.commands.test_train import ROOT, run, tiny
 
 
 def evaluate(folder: Path, *arguments: str) -> dict[str, Any]:
-    command = [sys.executable, str(ROOT / "evaluate.py"), *arguments, "evaluation.duration=1.5", "logger.enabled=false"]
+    command = [
+        sys.executable,
+        str(ROOT / "evaluate.py"),
+        *arguments,
+        "evaluation.duration=1.5",
+        "evaluation.placements=1",
+        "logger.enabled=false",
+    ]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "metrics.json" in done.stdout

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from gns_pl.checkpoint import Checkpoint, save_checkpoint
+from gns_pl.evaluation.doors import default_folder, named_checkpoints
+from gns_pl.pretrained import FOLDER
 from tests.conftest import make_simulator
 from tests.evaluation.test_scenes import DATA
 
@@ -99,3 +101,34 @@ def test_a_whole_run_from_two_folders_gives_the_same_numbers(tmp_path) -> None:
         assert first[key] == second[key], key
     assert documents[0] == documents[1]
     assert scene["reference"]["runout_99"] > 1
+
+
+def test_the_name_that_was_typed_is_the_name_everywhere(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert named_checkpoints(["column-fast"]) == {"column-fast": FOLDER / "collapse.ckpt"}
+    assert named_checkpoints(["collapse"]) == {"collapse": FOLDER / "collapse.ckpt"}
+    assert default_folder("column-fast", named_checkpoints(["column-fast"])) == Path("runs/column-fast/evaluation")
+    paths = [tmp_path / name for name in ("a/best.ckpt", "a/last.ckpt", "b/a/last.ckpt", "mine.ckpt")]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    found = named_checkpoints([*map(str, paths[:3]), "mine.ckpt", str(paths[0]), "column-fast", "collapse"])
+    assert list(found) == ["a", "a_last", "a_last_3", "mine", "column-fast"]
+
+
+def test_where_the_data_lie_now_is_passed_on(tmp_path, monkeypatch) -> None:
+    from hydra import compose, initialize_config_dir
+
+    from gns_pl.evaluation import evaluate
+
+    passed = {}
+    monkeypatch.setattr(evaluate, "evaluate_all", lambda checkpoints, **settings: passed.update(settings))
+    overrides = ["ckpt=collapse", "data.root=some/folder", "evaluation.start=frames", "evaluation.figures=false"]
+    with initialize_config_dir(str(DOOR.parent / "conf"), version_base=None):
+        evaluate.evaluate_config(compose("evaluate", overrides=overrides))
+    assert (passed["root"], passed["start"], passed["placements"], passed["speed"]) == (
+        "some/folder",
+        "frames",
+        6,
+        False,
+    )

@@ -10,14 +10,19 @@ import torch
 from PIL import Image
 
 import gns_pl.rollout
-from gns_pl.checkpoint import Checkpoint, save_checkpoint
+from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation import evaluate as module
 from gns_pl.evaluation import references as module_references
-from gns_pl.evaluation.curves import CURVES, read_curves
+from gns_pl.evaluation.curves import CURVES, compute_curves, cut, read_curves
 from gns_pl.evaluation.evaluate import evaluate_all
-from gns_pl.evaluation.metrics import COMPARISON, SUMMARY
-from gns_pl.scene import write_scene
+from gns_pl.evaluation.figures import of_columns
+from gns_pl.evaluation.measures import position_mse, rollout_mse
+from gns_pl.evaluation.metrics import COMPARISON, SUMMARY, profile_l1, summarise
+from gns_pl.evaluation.tracking import _table
+from gns_pl.io import read_trajectory
+from gns_pl.rollout.fitted import start_of
+from gns_pl.scene import scene_from_dict, write_scene
 from tests.conftest import make_simulator
 from tests.evaluation.made_up import column, spreading
 from tests.evaluation.test_scenes import DATA
@@ -26,6 +31,9 @@ SETTINGS = {
     "columns": {"short": {"length": 0.4, "height": 0.2}, "tall": {"length": 0.2, "height": 0.4}},
     "scenes": None,
     "split": None,
+    "start": "scene",
+    "speed": False,
+    "root": None,
     "spread": [],
     "only": None,
     "domain": [1.5, 0.5, 0.7],
@@ -76,6 +84,18 @@ def references(monkeypatch):
     return calls
 
 
+class Tables:
+    """Stand-in for W&B: a table that keeps its rows."""
+
+    class Table:
+        def __init__(self, columns) -> None:
+            self.columns, self.rows = columns, []
+
+        def add_data(self, *row) -> None:
+            assert len(row) == len(self.columns)
+            self.rows.append(row)
+
+
 def run(checkpoint, tmp_path, **changes):
     settings = {"out": tmp_path / "out", "cache": tmp_path / "cache"} | SETTINGS | changes
     return evaluate_all({"run": checkpoint}, **settings)["run"]
@@ -105,7 +125,7 @@ def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
     assert scene["failed_at"] is None and scene["aspect_ratio"] == pytest.approx(0.5)
     assert scene["no_motion"]["runout_99"] == 0
     assert scene["wall_seconds"]["learned"] > 0
-    assert stored["checkpoint"]["data"]["mpm"] == {"cell_size": 0.1}
+    assert stored["checkpoint"]["data"]["mpm"] == {"cell_size": 0.1} and stored["checkpoint"]["name"] == "run"
 
     table = read_curves(out / "curves_short.csv")
     assert len(table) == 2 * len(CURVES) - 2
@@ -141,7 +161,7 @@ def test_a_copy_elsewhere_gives_the_same_numbers(checkpoint, tmp_path, monkeypat
     shutil.copy(checkpoint, elsewhere / "copy.ckpt")
     monkeypatch.chdir(elsewhere)
     settings = SETTINGS | {"out": module.Path("out"), "cache": module.Path("cache"), "only": "tall"}
-    there = evaluate_all({"copy": module.Path("copy.ckpt")}, **settings)["copy"]
+    there = evaluate_all({"run": module.Path("copy.ckpt")}, **settings)["run"]
     assert (elsewhere / "out" / "metrics.json").is_file()
     for document in (here, there):
         del document["run"]
@@ -150,25 +170,124 @@ def test_a_copy_elsewhere_gives_the_same_numbers(checkpoint, tmp_path, monkeypat
     assert here == there
 
 
-def test_every_kth_point_of_a_fine_reference_is_judged(checkpoint, tmp_path, references) -> None:
+def test_numbers_of_the_reference_are_of_all_its_points_and_the_rollout_has_every_kth(
+    checkpoint, tmp_path, references
+) -> None:
     mpm = {"cell_size": 0.1, "points_per_direction": 2, "courant": 0.3, "transfer": "apic", "damping_rate": 0}
     data = DATA | {"mpm": mpm | {"bulk_viscosity": 0.3, "jitter": 0}, "store_every": [4, 2]}
-    # `spreading` has 8 x 10 x 4 points and moves them by as far as they stood from the wall; kept from 0 and from 1 on.
-    for every, number, last in ((2, 4 * 5 * 2, 6), (None, 2 * 3 * 1, 5)):
+    # `spreading` has 8 x 10 x 4 points and moves them by as far as they stood from the wall.
+    for every, number in ((2, 4 * 5 * 2), (None, 2 * 3 * 1)):
         chosen = data | ({"every": every} if every else {})
         save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02), chosen, {"steps": 0}))
-        scene = run(checkpoint, tmp_path, only="short")["scenes"]["short"]
+        scene = run(checkpoint, tmp_path, only="short", save_trajectories=True)["scenes"]["short"]
         assert scene["num_particles"] == number
+        assert scene["reference_points"] == {"number": 320, "spacing": pytest.approx(0.05, rel=1e-3), "all": True}
         assert scene["made_by"]["reference"]["every"] == (every or 4)
         assert scene["no_motion"]["runout_99"] == 0
-        assert scene["reference"]["runout_99"] == pytest.approx((last + 0.5) / 8, rel=1e-4)
+        out = tmp_path / "out"
+        kept, learned = (read_trajectory(out / f"{key}_short.h5") for key in ("reference", "learned"))
+        assert kept.num_particles == number
+        whole = spreading(kept.scene, kept.num_frames, dt=0.02)
+        expected, other, got = (summarise(each) for each in (whole, kept, learned))
+        assert abs(other["runout_99"] - expected["runout_99"]) > 0.01  # by which the kept points are wrong
+        for name in ("runout_99", "runout_max", "height_99", "mean_height", "kinetic_energy_peak", "density"):
+            assert scene["reference"][name] == pytest.approx(expected[name], rel=1e-5), name
+        assert read_curves(out / "curves_short.csv")["reference.runout_99"][-1] == pytest.approx(expected["runout_99"])
+        assert f"| {expected['runout_99']:.3g} |" in (out / "table.md").read_text()
+        assert of_columns([scene])["MPM"][0][1] == pytest.approx(expected["runout_99"])
+        logged = {(row[0], row[1]): row[2] for row in _table(Tables, {"scenes": {"short": scene}}).rows}
+        assert logged["short", "runout_99"] == pytest.approx(expected["runout_99"])
+        errors = scene["errors"]["learned"]
+        for name in ("runout_99", "height_99", "mean_height", "kinetic_energy_peak"):
+            assert errors[f"{name}_error"] == pytest.approx(got[name] / expected[name] - 1, abs=1e-5), name
+        assert errors["profile_l1"] == pytest.approx(profile_l1(learned, whole), rel=1e-5)
+        assert errors["mse_end"] == pytest.approx(rollout_mse(position_mse(learned, kept), kept.num_frames - 1))
     assert {call[1]["cell_size"] for call in references} == {0.1}
 
 
+def test_the_headline_is_the_mean_over_placements(checkpoint, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(
+        "gns_pl.rollout.failure.first_failure", lambda run: None
+    )  # untrained, it does what no sand does
+    mpm = {"cell_size": 0.1, "points_per_direction": 2, "jitter": 0.5}
+    save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02), DATA | {"mpm": mpm}, {"steps": 0}))
+    document = run(checkpoint, tmp_path, only="short", placements=3, seed=5)
+    judged = load_checkpoint(checkpoint)
+    scene, found = scene_from_dict(document["scenes"]["short"]["scene"]), document["scenes"]["short"]
+    starts = [start_of(scene, judged, seed, {}) for seed in (5, 6, 7)]
+    runs = [gns_pl.rollout.rollout(judged.simulator, start, found["num_steps"]) for start in starts]
+    curves = [compute_curves(each) for each in runs]
+    ends = np.array([each["runout_99"][-1] for each in curves])
+    truth = found["reference"]["runout_99"]
+    assert ends.std() > 0 and found["placements"]["runout_99"] == pytest.approx(ends)
+    assert found["learned"]["runout_99"] == pytest.approx(ends.mean())
+    assert found["errors"]["learned"]["runout_99_error"] == pytest.approx(ends.mean() / truth - 1)
+    assert found["placements"]["std"]["runout_99_error"] == pytest.approx(ends.std() / truth)
+    mean, std, largest = (100 * value for value in (ends.mean() / truth - 1, ends.std() / truth, min(ends / truth - 1)))
+    out = tmp_path / "out"
+    assert f"{mean:+.1f} ± {std:.1f} %" in (out / "table.md").read_text()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert (
+        f"{-mean:.1f} % shorter than by MPM in the mean of 3 placements (± {std:.1f} %, at most {largest:+.1f} %)"
+        in page
+    )
+    column = read_curves(out / "curves_short.csv")["learned.runout_99"]
+    np.testing.assert_allclose(column, np.mean([each["runout_99"] for each in curves], axis=0), rtol=1e-6, atol=1e-9)
+
+
+def test_placements_that_fail_are_counted_and_left_out(checkpoint, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("gns_pl.rollout.failure.first_failure", lambda run: None)
+    whole = gns_pl.rollout.rollout
+
+    def broken(simulator, start, num_steps, **others):
+        learned = whole(simulator, start, num_steps, **others)
+        if start.provenance == {} and np.isclose(start.position[0, 0, 0], second):
+            return cut(learned, 4)
+        return learned
+
+    mpm = {"cell_size": 0.1, "points_per_direction": 2, "jitter": 0.5}
+    judged = Checkpoint(make_simulator(dt=0.02), DATA | {"mpm": mpm}, {"steps": 0})
+    save_checkpoint(checkpoint, judged)
+    scene = scene_from_dict(run(checkpoint, tmp_path, only="short")["scenes"]["short"]["scene"])
+    second = start_of(scene, judged, 4, {}).position[0, 0, 0]
+    monkeypatch.setattr(gns_pl.rollout, "rollout", broken)
+    found = run(checkpoint, tmp_path, only="short", placements=3)["scenes"]["short"]
+    assert found["placements"]["failed"] == 1 and found["placements"]["runout_99"][1] is None
+    others = [found["placements"]["runout_99"][number] for number in (0, 2)]
+    assert found["learned"]["runout_99"] == pytest.approx(np.mean(others))
+    assert "1 of 3 placements failed" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_rollouts_go_on_from_true_frames(checkpoint, tmp_path) -> None:
+    """Four positions are what a step of this simulator needs; from the fourth on the frames are its own."""
+    out = tmp_path / "out"
+    found = run(checkpoint, tmp_path, only="tall", start="frames", placements=2, save_trajectories=True)
+    scene = found["scenes"]["tall"]
+    kept, learned = (read_trajectory(out / f"{key}_tall.h5") for key in ("reference", "learned"))
+    assert scene["given_frames"] == 4 and learned.num_frames == kept.num_frames
+    np.testing.assert_array_equal(learned.position[:4], kept.position[:4])
+    judged = load_checkpoint(checkpoint).simulator
+    history = torch.from_numpy(kept.position[:4]).transpose(0, 1).contiguous()
+    with torch.no_grad():
+        following = judged(history, gns_pl.rollout.static_of(kept))
+    np.testing.assert_allclose(learned.position[4], following.numpy(), atol=1e-6)
+    squared = position_mse(learned, kept)
+    assert squared[:4].max() == 0 and scene["errors"]["learned"]["mse_1"] == pytest.approx(squared[4])
+    # Of other placements MPM runs these frames alone; its stand-in is the same for every seed.
+    start = spreading(kept.scene, 4, dt=0.02)
+    placed = gns_pl.rollout.rollout(judged, start, kept.num_frames - 4, given=4)
+    assert scene["placements"]["runout_99"] == pytest.approx([summarise(placed)["runout_99"]] * 2)
+    assert "go on from 4 frames of MPM" in (out / "table.md").read_text()
+    with pytest.raises(InputError, match="start must be one of scene, frames, not 'middle'"):
+        run(checkpoint, tmp_path, start="middle")
+    with pytest.raises(InputError, match=r"has 3 frames, too few to go on from 4"):
+        run(checkpoint, tmp_path, only="tall", start="frames", duration=0.18)
+
+
 def test_a_rollout_that_fails_is_reported_and_the_rest_goes_on(checkpoint, tmp_path, monkeypatch, capsys) -> None:
-    def broken(simulator, start, num_steps, *, on_step=None):
+    def broken(simulator, start, num_steps, *, given=1, on_step=None):
         learned = spreading(start.scene, num_steps + 1, dt=start.dt)
-        if start.scene.name == "tall":
+        if start.scene.name == "tall" or num_steps < 4:
             return learned
         position = learned.position.copy()
         position[4, 0] = np.nan
@@ -202,14 +321,18 @@ def test_other_refusals(checkpoint, tmp_path, monkeypatch) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="another folder with out="):
         run(checkpoint, tmp_path, out=tmp_path / "file")
+    with pytest.raises(InputError, match=r"evaluation\.placements must be 0 or more, not -1"):
+        run(checkpoint, tmp_path, placements=-1)
     with pytest.raises(InputError, match=r"evaluation\.device=abacus"):
         run(checkpoint, tmp_path, device="abacus")
     write_scene(column(2), tmp_path / "flat.yaml")
     with pytest.raises(InputError, match="has 2 dimensions"):
         run(checkpoint, tmp_path, scenes=[str(tmp_path / "flat.yaml")])
     save_checkpoint(tmp_path / "foreign.ckpt", Checkpoint(make_simulator(), {"name": "imported"}, {}))
-    with pytest.raises(InputError, match="by which MPM"):
+    with pytest.raises(InputError, match=r"by which MPM.*data\.root=FOLDER evaluation\.split=test"):
         run(tmp_path / "foreign.ckpt", tmp_path)
+    with pytest.raises(InputError, match="by which MPM they were made, so none can be timed"):
+        run(tmp_path / "foreign.ckpt", tmp_path, speed=True)
     monkeypatch.setattr("gns_pl.viz.missing_packages", lambda: ["matplotlib"])
     with pytest.raises(InputError, match=r"pip install 'gns_pl\[viz\]'"):
         module.check_figures()

@@ -11,6 +11,8 @@ import pytest
 from gns_pl.checkpoint import Checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation import references
+from gns_pl.evaluation.evaluate import with_data
+from gns_pl.evaluation.metrics import Measured
 from gns_pl.evaluation.references import reference_of, resolution_spread, stored_references
 from gns_pl.generation import generate_dataset
 from tests.conftest import MPM as mpm_settings
@@ -44,11 +46,11 @@ def test_other_cells_give_their_largest_change(tmp_path: Path, monkeypatch: pyte
 
 
 def test_the_same_run_has_no_spread() -> None:
-    values = resolution_spread(spreading(), [spreading()], SPACING)
-    assert max(values.values()) < 1e-6 and resolution_spread(spreading(), [], SPACING) == {}
+    values = resolution_spread(Measured(spreading()), [spreading()], SPACING)
+    assert max(values.values()) < 1e-6 and resolution_spread(Measured(spreading()), [], SPACING) == {}
 
 
-def test_a_split_of_the_data_set(tmp_path: Path) -> None:
+def test_a_split_of_the_data_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = {
         **DATA,
         "name": "tiny",
@@ -64,7 +66,10 @@ def test_a_split_of_the_data_set(tmp_path: Path) -> None:
         },
     }  # fmt: skip
     checkpoint = Checkpoint(make_simulator(dt=0.02), data, {})
-    with pytest.raises(InputError, match="holds no data; make them: python generate"):
+    with pytest.raises(
+        InputError,
+        match=r"holds no data; say where they are with data.root=FOLDER, or make them: python generate.py data=tiny",
+    ):
         stored_references(checkpoint, "test")
     generate_dataset(data, num_workers=1, progress=False)
     [(name, reference)] = stored_references(checkpoint, "test").items()
@@ -73,5 +78,35 @@ def test_a_split_of_the_data_set(tmp_path: Path) -> None:
     assert np.isfinite(reference.trajectory.position).all()
     with pytest.raises(InputError, match="must be one of train, valid, test, not 'exam'"):
         stored_references(checkpoint, "exam")
-    with pytest.raises(InputError, match="does not say where its data are"):
+    with pytest.raises(InputError, match=r"does not say where its data are; say so with data\.root=FOLDER"):
         stored_references(replace(checkpoint, data=DATA), "test")
+    moved = tmp_path / "elsewhere" / "a copy"
+    moved.parent.mkdir()
+    (tmp_path / "tiny").rename(moved)
+    with pytest.raises(InputError, match=r"tiny holds no data; say where they are with data\.root=FOLDER"):
+        stored_references(checkpoint, "test")
+    [again] = stored_references(with_data(checkpoint, str(moved)), "test", placements=2, seed=1).values()
+    np.testing.assert_array_equal(again.trajectory.position, reference.trajectory.position)
+    assert again.complete and len(again.starts) == 2
+    with pytest.raises(InputError, match=r"nowhere holds no data"):
+        with_data(checkpoint, "nowhere")
+    capsys.readouterr()
+    with_data(replace(checkpoint, provenance={"manifest_sha256": "0"}), str(moved))
+    assert "not the data that this checkpoint was trained on" in capsys.readouterr().out
+
+
+def test_the_stored_points_of_finer_runs_are_said_to_be_that(tmp_path: Path) -> None:
+    """A set of every second point lies in a folder of its own, which is found from the set's folder and by itself."""
+    data = {
+        **DATA, "name": "tiny", "root": str(tmp_path / "tiny"), "seed": 0, "frame_interval": 0.01, "store_every": [2],
+        "mpm": MPM, "families": {"cube_drop": {
+            "count": 2, "valid": 0, "test": 1, "duration": 0.02, "domain": [1, 1, 1], "side": [0.3, 0.3], "speed": 0.1,
+            "max_drop": 0.1,
+        }},
+    }  # fmt: skip
+    generate_dataset(data, num_workers=1, progress=False)
+    checkpoint = Checkpoint(make_simulator(dt=0.01, spacing=0.1), data, {})
+    for root in ("tiny", "tiny/every_2"):
+        [reference] = stored_references(with_data(checkpoint, str(tmp_path / root)), "test").values()
+        assert not reference.complete and reference.whole.trajectory is reference.trajectory
+        assert reference.trajectory.num_particles == 3**3

@@ -101,3 +101,24 @@ def test_going_on_from_the_last_frames_is_exact(drop: Scene) -> None:
         with torch.inference_mode():
             rest = [parts[0].numpy() for parts in unroll(simulator, [run])]
         np.testing.assert_array_equal(np.stack(rest), whole[made + 1 :])
+
+
+def test_given_frames_are_kept_and_gone_on_from(drop: Scene) -> None:
+    """A rollout from its own first six frames is the same rollout, scripted particles too."""
+    moving = make_moving(drop, frames=13)
+    kinds = moving.particle_type.copy()
+    kinds[:7] = 3
+    simulator, start = make_simulator(particle_types=(3, 6)), replace(moving, particle_type=kinds)
+    calls: list[tuple[int, int]] = []
+    whole = rollout(simulator, start, 12)
+    script = start.position.copy()
+    script[:6] = whole.position[:6]
+    again = rollout(
+        simulator, replace(start, position=script), 7, given=6, on_step=lambda *numbers: calls.append(numbers)
+    )
+    np.testing.assert_array_equal(again.position, whole.position)
+    np.testing.assert_array_equal(again.position[:, :7], start.position[:, :7])
+    assert calls == [(number, 7) for number in range(1, 8)] and "at_rest_from" not in again.provenance
+    other = rollout(simulator, start, 7, given=6)  # from frames that a rollout would not have come to
+    np.testing.assert_array_equal(other.position[:6], start.position[:6])
+    assert not np.allclose(other.position[6], whole.position[6])

@@ -16,6 +16,7 @@ from gns_pl.trajectory import Trajectory
 from gns_pl.viz import render_film, render_still, scene3d, studio
 from gns_pl.viz.stage import KINEMATIC_GREY
 from tests.evaluation.made_up import column, moved, spreading, standing
+from tests.viz.test_figures import hopper
 
 pytest.importorskip("pyvista")
 iio = pytest.importorskip("imageio.v3")
@@ -62,6 +63,15 @@ def test_a_still_shows_the_grains_where_they_are(tmp_path: Path) -> None:
     assert 0.6 < middle(shifted) < 0.9
     # nothing coloured beyond the middle, where the column is not
     assert not coloured(image)[:, WIDTH // 2 + 20 :].any()
+
+
+def test_materials_have_their_colours(tmp_path: Path) -> None:
+    image = picture(tmp_path / "a.png", standing(hopper(3)), colour="material").astype(int)
+    red, _, blue = np.moveaxis(image[: int(0.85 * len(image))], 2, 0)
+    orange, sea = (np.nonzero(mask)[0] for mask in (red > blue + 60, blue > red + 60))
+    assert min(len(orange), len(sea)) > 50 and sea.mean() < orange.mean()  # the gravel lies on the sand
+    with pytest.raises(InputError, match="no materials to tell apart"):
+        render_still(tmp_path / "b.png", standing(), colour="material")
 
 
 def test_a_still_is_of_its_moment(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ from gns_pl.pretrained import find_checkpoint, pretrained_names
 
 
 def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
-    """Return a name for every checkpoint → its path: that of the package, or of its folder, as long as they differ.
+    """Return a name for every checkpoint → its path: what was typed for one of the package's, else that of its folder.
 
     Raises:
         InputError: one that is not there.
@@ -22,10 +22,12 @@ def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
         if not path.is_file():
             known = ", ".join(pretrained_names())
             raise InputError(f"{path}: there is no such checkpoint; those that come with gns_pl are {known}.")
-        name = path.stem if path != Path(text) or not path.parent.name else path.parent.name
-        if name in found and found[name] != path:
+        if path in found.values():
+            continue
+        name = text if path != Path(text) else path.parent.name or path.stem
+        if name in found:
             name = f"{name}_{path.stem}"
-        if found.get(name, path) != path:
+        if name in found:
             name = f"{name}_{len(found) + 1}"
         found[name] = path
     return found

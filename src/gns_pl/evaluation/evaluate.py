@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from gns_pl.checkpoint import Checkpoint
+    from gns_pl.evaluation.references import Reference
 
 
 def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
@@ -44,7 +46,7 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
     out = Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)
-    kept = {"cache": Path(settings["cache"]), "stabilise": settings["stabilise"]}
+    kept = {"cache": Path(settings["cache"]), "stabilise": settings["stabilise"], "root": settings["data"]["root"]}
     return evaluate_all(checkpoints, out=out, logger=logger, **kept, **evaluation)
 
 
@@ -73,7 +75,7 @@ def evaluate_all(
     for name, path in checkpoints.items():
         if len(checkpoints) > 1:
             print(f"\n{name}: {path}")
-        documents[name], files[name] = evaluate(path, out=folders[name], **settings)
+        documents[name], files[name] = evaluate(path, name=name, out=folders[name], **settings)
     path = page.write_page(out / "report.html", documents, folders)
     print("Made:", *(file for each in files.values() for file in each), path, sep="\n  ")
     for name, document in documents.items():
@@ -88,18 +90,22 @@ def evaluate_all(
 def evaluate(
     checkpoint_path: Path,
     *,
+    name: str,
     out: Path,
     cache: Path,
+    root: str | None,
     stabilise: Mapping[str, Any],
     columns: Mapping[str, Any],
     scenes: Sequence[str] | str | None,
     split: str | None,
+    start: str,
     only: Sequence[str] | str | None,
     domain: Sequence[float],
     duration: float,
     spread: Sequence[float],
     seed: int,
     placements: int,
+    speed: bool,
     device: str,
     figures: bool,
     snapshots: Sequence[float],
@@ -112,18 +118,22 @@ def evaluate(
 
     Args:
         checkpoint_path: the checkpoint.
+        name: by which it is called in everything that is made.
         out: folder for what is made; created.
         cache: folder in which MPM references are kept between evaluations.
+        root: folder of the checkpoint's data set; None where the checkpoint says it is.
         stabilise: arguments of `rollout.stabilise.stabilise`, by which the rollouts are kept within what sand can do.
         columns: name → {length, height} [m].
         scenes: scene files to run in the columns' place; None for the columns.
         split: of the checkpoint's data set, to judge in their place: "valid", "test", "train"; None for none.
+        start: "scene", at rest or at its initial velocity, or "frames", as many true ones as one step needs.
         only: names of the scenes to run; None runs all.
         domain: box of the columns [m].
         duration: simulated time of the columns [τc].
         spread: cells of further MPM runs over those of the data, by which the reference's own error is told.
         seed: of the particles' placement.
-        placements: number of runs from other placements, for a band on the runout.
+        placements: number of runs from other placements, whose mean is judged.
+        speed: time the learned runs and the cheapest MPM that is as accurate, in this session.
         device: "auto", or a device as torch names it.
         figures: draw, or leave out figures and animations.
         snapshots: times of the evolution figure [τc]; the last frame comes besides.
@@ -140,45 +150,73 @@ def evaluate(
     """
     from gns_pl.checkpoint import load_checkpoint, move
     from gns_pl.evaluation import report
-    from gns_pl.evaluation.references import reference_of, stored_references
+    from gns_pl.evaluation.references import STARTS, reference_of, stored_references
     from gns_pl.frame_simulator import cold_start
 
     if film not in (None, "mp4", "gif"):
         raise InputError(f"evaluation.film must be mp4, gif or null, not {film!r}.")
+    if start not in STARTS:
+        raise InputError(f"evaluation.start must be one of {', '.join(STARTS)}, not {start!r}.")
+    if placements < 0:
+        raise InputError(f"evaluation.placements must be 0 or more, not {placements}.")
     checkpoint = load_checkpoint(checkpoint_path)
+    if root is not None:
+        checkpoint = with_data(checkpoint, root)
     config = checkpoint.simulator.config
-    if cold := cold_start(config, checkpoint.provenance):
-        print(cold)
+    if start == "scene" and (notice := cold_start(config, checkpoint.provenance)):
+        print(notice)
+    if speed and "mpm" not in checkpoint.data:
+        raise InputError("evaluation.speed: these data do not say by which MPM they were made, so none can be timed.")
     if split is None and "mpm" not in checkpoint.data:
         split = imported_split(checkpoint, checkpoint_path, wants_scenes=bool(scenes))
-    stored = {} if split is None else chosen(stored_references(checkpoint, split), only, "evaluation.split")
-    built = {name: each.trajectory.scene for name, each in stored.items()}
+    given = config.input_sequence_length if start == "frames" else 1
+    stored: dict[str, Reference] = {}
+    if split is not None:
+        # The frames of other placements are stored nowhere, so there are none with start=frames.
+        number = placements if given == 1 else 0
+        found = stored_references(checkpoint, split, placements=number, seed=seed)
+        stored = chosen(found, only, "evaluation.split")
+    built = {key: each.trajectory.scene for key, each in stored.items()}
     if split is None:
         interval, data = config.dt, checkpoint.data
         built = build_scenes(columns, scenes, only=only, domain=domain, duration=duration, interval=interval, data=data)
-    for name, scene in built.items():
+    for key, scene in built.items():
         if scene.dim != config.dim:
             raise InputError(
-                f"scene {name!r} has {scene.dim} dimensions, the simulator of {checkpoint_path} {config.dim}."
+                f"scene {key!r} has {scene.dim} dimensions, the simulator of {checkpoint_path} {config.dim}."
             )
         if scene.obstacles:  # said here, before minutes of MPM
-            raise InputError(f"scene {name!r} has obstacles, and a learned simulator knows no obstacles yet.")
+            raise InputError(f"scene {key!r} has obstacles, and a learned simulator knows no obstacles yet.")
+        frames = stored[key].trajectory.num_frames if key in stored else round(scene.duration / config.dt) + 1
+        if frames <= given:
+            raise InputError(f"scene {key!r} has {frames} frames, too few to go on from {given} (evaluation.start).")
     make_folder(out)
     move(checkpoint, device, "evaluation.device")
+    print(report.describe_start(config.to_dict(), given))
     results, files = {}, []
-    for name, scene in built.items():
+    for key, scene in built.items():
         source = "MPM (computed once, then cached)" if split is None else "the stored trajectory"
-        print(f"{name}: {source} and the learned rollout …", flush=True)
-        reference = stored.get(name) or reference_of(scene, checkpoint, cache=cache, seed=seed, cells=spread)
-        result = judge_scene(name, reference, checkpoint, stabilise=stabilise, placements=placements, seed=seed)
-        results[name] = result
-        files.append(out / f"curves_{name}.csv")
+        print(f"{key}: {source} and the learned rollouts …", flush=True)
+        reference = stored.get(key) or reference_of(
+            scene, checkpoint, cache=cache, seed=seed, cells=spread, placements=placements, given=given
+        )
+        result = judge_scene(key, reference, checkpoint, stabilise=stabilise, given=given)
+        results[key] = result
+        if speed:
+            from gns_pl.evaluation.speed import measure_speed
+
+            placed = result.report["placements"]["runout_99_error"]
+            errors = placed or [result.report["errors"]["learned"]["runout_99_error"]]
+            print(f"{key}: times of the learned runs and of MPM …", flush=True)
+            timed = measure_speed(reference, checkpoint, errors, stabilise=stabilise, given=given, seed=seed)
+            result.report["speed"] = timed
+        files.append(out / f"curves_{key}.csv")
         write_curves(files[-1], result.curves)
         if save_trajectories:
-            files += _write_trajectories(name, result, out)
+            files += _write_trajectories(key, result, out)
         if paraview:
-            files += _write_paraview(name, result, out)
-    document = report.document(checkpoint, {name: result.report for name, result in results.items()})
+            files += _write_paraview(key, result, out)
+    document = report.document(name, checkpoint, {key: result.report for key, result in results.items()})
     files = [*report.write(document, out), *files]
     if figures:
         from gns_pl.evaluation.figures import draw
@@ -192,6 +230,22 @@ def evaluate(
     return document, files
 
 
+def with_data(checkpoint: Checkpoint, root: str) -> Checkpoint:
+    """Return the checkpoint with the folder in which its data lie now; data of another training are told.
+
+    Raises:
+        InputError: no data there.
+    """
+    from gns_pl.evaluation.references import stored_folder
+    from gns_pl.io import manifest_sha256
+
+    checkpoint = replace(checkpoint, data={**checkpoint.data, "root": root})
+    folder, trained = stored_folder(checkpoint.data), checkpoint.provenance.get("manifest_sha256")
+    if trained is not None and manifest_sha256(folder) != trained:
+        print(f"{folder}: not the data that this checkpoint was trained on (their manifests differ).")
+    return checkpoint
+
+
 def imported_split(checkpoint: Checkpoint, path: Path, *, wants_scenes: bool) -> str:
     """Return the split that speaks for imported data, which no solver of ours made: "test", or "valid" without tests.
 
@@ -203,14 +257,15 @@ def imported_split(checkpoint: Checkpoint, path: Path, *, wants_scenes: bool) ->
     Raises:
         InputError: scenes, or data that are not there.
     """
+    from gns_pl.evaluation.references import stored_folder
     from gns_pl.io import read_manifest
 
     if wants_scenes or "root" not in checkpoint.data:
         raise InputError(
             f"{path}: its data do not say by which MPM they were made, so nothing can be computed to compare with; "
-            "name trajectories of its data: evaluation.split=test"
+            "name trajectories of its data: data.root=FOLDER evaluation.split=test"
         )
-    splits = read_manifest(checkpoint.data["root"]).splits
+    splits = read_manifest(stored_folder(checkpoint.data)).splits
     split = "test" if splits["test"] else "valid"
     print(f"Its data are imported, so it is judged on their {split} trajectories (evaluation.split={split}).")
     return split

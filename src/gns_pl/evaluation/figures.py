@@ -39,9 +39,10 @@ def draw(
     from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
 
     curves = {name: {TITLES[key]: values for key, values in result.curves.items()} for name, result in results.items()}
+    bands = {name: {TITLES["learned"]: result.band} for name, result in results.items()}
     files = [out / "runout_height.png", out / "runout_height.pdf", out / "energy.png"]
-    plot_curves(curves, ("runout", "height"), files[:2])
-    plot_curves(curves, ("energy", "speed"), files[2:])
+    plot_curves(curves, ("runout", "height"), files[:2], bands)
+    plot_curves(curves, ("energy", "speed"), files[2:], bands)
     far = {name: result.familiarity for name, result in results.items() if result.familiarity is not None}
     if far:
         files.append(out / "familiarity.png")
@@ -84,14 +85,16 @@ def draw_in_space(
         Paths of the files.
     """
     from gns_pl.viz import render_film, render_still
+    from gns_pl.viz.colouring import material_names
 
     files = []
     for name, result in results.items():
         learned, reference = (result.trajectories[key] for key in ("learned", "reference"))
         shown = {TITLES["learned"]: learned, TITLES["reference"]: reference}
-        files.append(render_film(out / f"film_{name}.{film}", shown, num_frames=num_frames, width=width - width % 2))
+        colour, path = "material" if material_names(reference) else "displacement", out / f"film_{name}.{film}"
+        files.append(render_film(path, shown, colour=colour, num_frames=num_frames, width=width - width % 2))
         still, beside = out / f"still_{name}.png", {TITLES["reference"]: reference}
-        files.append(render_still(still, learned, title=TITLES["learned"], side_by_side=beside))
+        files.append(render_still(still, learned, colour=colour, title=TITLES["learned"], side_by_side=beside))
     return files
 
 
@@ -110,7 +113,7 @@ def of_columns(reports: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[flo
             (
                 each["aspect_ratio"],
                 each[key]["runout_99"] if each[key]["runout_99"] is not None else nothing,
-                each["reference_spread"].get("runout_99", 0.0) if key == "reference" else 0.0,
+                (each["reference_spread"] if key == "reference" else each["placements"]["std"]).get("runout_99", 0.0),
             )
             for each in reports
         ]

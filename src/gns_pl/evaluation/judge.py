@@ -1,16 +1,18 @@
-"""One scene judged: the learned rollout beside its reference, measured in the same way."""
+"""One scene judged: learned rollouts beside their reference, measured in the same way."""
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gns_pl.evaluation.curves import Curves, compute_curves, cut, num_finite_frames
 from gns_pl.evaluation.measures import particle_spacing
-from gns_pl.evaluation.metrics import COMPARISON, SUMMARY, compare, summarise
+from gns_pl.evaluation.metrics import COMPARISON, FLOW, SUMMARY, compare
+from gns_pl.evaluation.placements import Band, Placements
 from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.trajectory import Trajectory
 
@@ -25,11 +27,13 @@ class SceneResult:
     """What one scene gave.
 
     Attributes:
-        trajectories: "reference" (MPM) and "learned", the latter with its finite frames only.
-        curves: the same keys → `compute_curves`.
+        trajectories: "reference" (MPM) and "learned", which have the same particles, the latter with its finite frames
+            only.
+        curves: the same keys → curves: of all points of the reference, and the mean over the placements.
         failed_at: time of the rollout's first frame that is not finite [s]; None if there is none.
         report: this scene's part of metrics.json.
         familiarity: how far the rollout was from training; None if the checkpoint does not say what it saw.
+        band: name of a curve → its range over the placements; empty without placements.
     """
 
     trajectories: dict[str, Trajectory]
@@ -37,6 +41,7 @@ class SceneResult:
     failed_at: float | None
     report: dict[str, Any]
     familiarity: Familiarity | None = None
+    band: dict[str, Band] = field(default_factory=dict)
 
 
 def judge_scene(
@@ -45,52 +50,51 @@ def judge_scene(
     checkpoint: Checkpoint,
     *,
     stabilise: Mapping[str, Any] | None = None,
-    placements: int = 0,
-    seed: int = 0,
+    given: int = 1,
 ) -> SceneResult:
     """Run one scene by the learned simulator, and measure both.
 
-    The rollout starts from the reference's first frame, so both have the same particles, one to one. A rollout that
-    ends before the reference or stops being finite is reported as failed; nothing is raised.
+    One rollout starts from the reference's first frame, so both have the same particles, one to one: what follows
+    single particles is measured on it. Everything else is the mean over the placements (`Reference.starts`), against
+    all points of the reference; where there are none it is of that one rollout. A rollout that ends before the
+    reference or stops being finite is reported as failed; nothing is raised.
 
     Args:
         name: of the scene, for messages.
         reference: of the material point method.
         checkpoint: the simulator.
         stabilise: arguments of `rollout.stabilise.stabilise`.
-        placements: number of runs from other placements, for a band on the runout.
-        seed: of the first of them.
+        given: frames of each start that are taken as they are.
     """
-    from gns_pl.evaluation.bands import ensemble_bands
     from gns_pl.rollout import rollout
     from gns_pl.rollout.failure import first_failure
     from gns_pl.rollout.familiarity import familiarity
-    from gns_pl.rollout.fitted import start_of
     from gns_pl.rollout.progress import counting
     from gns_pl.rollout.stabilise import stabilise as stabilised
 
     simulator = stabilised(checkpoint.simulator, **(stabilise or {}))
-    truth = reference.trajectory
+    truth, whole = reference.trajectory, reference.whole
+    steps = truth.num_frames - given
+    rollout(simulator, truth, min(2, steps), given=given)  # what is compiled at first use is not timed
     with counting(f"{name}: learned rollout", truth.dt) as on_step:
-        learned = rollout(simulator, truth, truth.num_frames - 1, on_step=on_step)
+        learned = rollout(simulator, truth, steps, given=given, on_step=on_step)
+    with counting(f"{name}: other placements", truth.dt) as on_step:
+        runs = [rollout(simulator, start, steps, given=given, on_step=on_step) for start in reference.starts]
     kept = {} if simulator is checkpoint.simulator else dict(stabilise or {})
     learned = replace(learned, provenance={**learned.provenance, "stabilise": kept})
     finite = num_finite_frames(learned)
     failed_at = finite * learned.dt if finite < truth.num_frames else None
     failure = first_failure(cut(learned, finite))
     trajectories = {"reference": truth, "learned": cut(learned, finite)}
-    curves = {key: compute_curves(trajectory) for key, trajectory in trajectories.items()}
-    still, errors = compare(_motionless(truth), truth), compare(learned, truth)
+    still, errors = (compare(each, truth, whole, given=given) for each in (_motionless(truth), learned))
+    placed = Placements.of(runs, whole) if runs else None
+    own = compute_curves(trajectories["learned"])
+    curves = {"reference": whole.curves, "learned": own if placed is None or placed.curves is None else placed.curves}
+    flow = {**errors, **dict.fromkeys(FLOW, float("nan")), **placed.over(np.mean)} if placed else errors
+    scatter = placed.over(np.std) if placed else {}
     length, height = initial_extent(truth.scene)
     found = familiarity(checkpoint, trajectories["learned"])
-    placed = 0 if "mpm" not in checkpoint.data else placements  # what is imported has bodies of any shape
-    starts = [start_of(truth.scene, checkpoint, number, {}) for number in range(seed, seed + placed)]
-    duration = (truth.num_frames - 1) * truth.dt
-    ends = (
-        ensemble_bands([replace(checkpoint, simulator=simulator)], starts, duration=duration).members[:, -1].tolist()
-        if starts
-        else []
-    )
+    seconds = [float(run.provenance["wall_seconds"]) for run in runs or [learned]]  # type: ignore[arg-type]
     report: dict[str, Any] = {
         "scene": truth.scene.to_dict(),
         "length": length,
@@ -101,10 +105,16 @@ def judge_scene(
         "num_particles": truth.num_particles,
         "num_steps": truth.num_frames - 1,
         "dt": truth.dt,
+        "given_frames": given,
+        "reference_points": {
+            "number": whole.trajectory.num_particles,
+            "spacing": particle_spacing(whole.trajectory),
+            "all": reference.complete,
+        },
         "failed_at": failed_at,
         "failure": None if failure is None else failure.sentence,
-        "reference": summarise(truth, curves["reference"]),
-        "learned": {quantity.name: errors[quantity.name] for quantity in SUMMARY},
+        "reference": whole.summary,
+        "learned": {quantity.name: flow[quantity.name] for quantity in SUMMARY},
         "no_motion": {quantity.name: still[quantity.name] for quantity in SUMMARY},
         "familiarity": None
         if found is None
@@ -114,19 +124,25 @@ def judge_scene(
             "sentence": found.sentence(),
             "reasons": list(found.reasons),
         },
-        "placements": ends,
+        "placements": {
+            "number": len(runs),
+            "failed": sum(num_finite_frames(run) < truth.num_frames for run in runs),
+            "runout_99": placed.values["runout_99"] if placed else [],
+            "runout_99_error": placed.values["runout_99_error"] if placed else [],
+            "std": scatter,
+        },
         "reference_spread": {"cells": list(reference.cells), **reference.spread},
         "errors": {
-            "learned": {quantity.name: errors[quantity.name] for quantity in COMPARISON},
+            "learned": {quantity.name: flow[quantity.name] for quantity in COMPARISON},
             "no_motion": {quantity.name: still[quantity.name] for quantity in COMPARISON},
         },
         "wall_seconds": {
             "reference": truth.provenance.get("wall_seconds"),
-            "learned": learned.provenance.get("wall_seconds"),
+            "learned": statistics.median(seconds),
         },
         "made_by": {"reference": truth.provenance, "learned": learned.provenance},
     }
-    return SceneResult(trajectories, curves, failed_at, report, found)
+    return SceneResult(trajectories, curves, failed_at, report, found, placed.band if placed else {})
 
 
 def _motionless(reference: Trajectory) -> Trajectory:

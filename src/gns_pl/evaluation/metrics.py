@@ -6,6 +6,7 @@ Pure NumPy, so that training can validate by rollout and the evaluate door judge
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -76,6 +77,7 @@ ERRORS: tuple[Quantity, ...] = (
     Quantity("height_99_error", "1", "final 99 % height, relative"),
     Quantity("height_max_error", "1", "final maximum height, relative"),
     Quantity("mean_height_error", "1", "final mean height, relative; −1 would be a pancake"),
+    Quantity("kinetic_energy_peak_error", "1", "largest kinetic energy of any frame, relative"),
     Quantity("profile_l1", "1", "area between the final deposits' profiles over the area of the reference's"),
     *(
         Quantity(f"mse_{n}", "m²", f"squared position error, mean over frames 1 to {n}, particles and axes")
@@ -93,6 +95,13 @@ COMPARISON: tuple[Quantity, ...] = (
     Quantity("sinkhorn", "spacing", "transport distance of the final deposits (debiased Sinkhorn), over the spacing"),
 )
 """Every key of `compare`, which takes too long for a training's validation."""
+
+FLOW = tuple(
+    quantity.name
+    for quantity in (*COMPARISON, *SUMMARY)
+    if not quantity.name.startswith("mse_") and quantity.name not in ("finite_fraction", "position_error", "sinkhorn")
+)
+"""Every key of `flow_errors`: what follows no single particle, so that any placement may be judged by it."""
 
 DENSITY_CELL = 2.5
 """Cells of the grid on which the solid fraction is found, in particle spacings."""
@@ -136,9 +145,37 @@ def solid_fraction_75(flow: Trajectory, frame: int) -> float:
     return float(np.percentile(measures.solid_fraction(position, volume, flow.scene, cell), 75))
 
 
-def compare(predicted: Trajectory, reference: Trajectory) -> dict[str, float]:
+class Measured:
+    """A trajectory and what it did, computed when it is first asked for, and once.
+
+    Args:
+        trajectory: finite in every frame.
+    """
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self.trajectory = trajectory
+
+    @cached_property
+    def flow(self) -> Trajectory:
+        """The trajectory without kinematic particles."""
+        return mobile(self.trajectory)
+
+    @cached_property
+    def curves(self) -> Curves:
+        """Every entry of `CURVES`."""
+        return compute_curves(self.flow)
+
+    @cached_property
+    def summary(self) -> dict[str, float]:
+        """Every entry of `SUMMARY`."""
+        return summarise(self.flow, self.curves)
+
+
+def compare(
+    predicted: Trajectory, reference: Trajectory, whole: Measured | None = None, *, given: int = 1
+) -> dict[str, float]:
     """Return `rollout_errors`, and besides the transport distance: the entries of `COMPARISON` and `SUMMARY`."""
-    errors = rollout_errors(predicted, reference)
+    errors = rollout_errors(predicted, reference, whole, given=given)
     distance = math.nan
     if errors["finite_fraction"] == 1:
         flows = [mobile(cut(each, reference.num_frames)).position[-1] for each in (predicted, reference)]
@@ -146,7 +183,9 @@ def compare(predicted: Trajectory, reference: Trajectory) -> dict[str, float]:
     return {**errors, "sinkhorn": distance}
 
 
-def rollout_errors(predicted: Trajectory, reference: Trajectory) -> dict[str, float]:
+def rollout_errors(
+    predicted: Trajectory, reference: Trajectory, whole: Measured | None = None, *, given: int = 1
+) -> dict[str, float]:
     """Compare a rollout with its reference, particle by particle and as a whole.
 
     Both are judged at the reference's last frame; a longer rollout is cut. A rollout that ends earlier, or is not
@@ -155,6 +194,9 @@ def rollout_errors(predicted: Trajectory, reference: Trajectory) -> dict[str, fl
     Args:
         predicted: the rollout, from the reference's first frame.
         reference: the same particles.
+        whole: all points of the run of which `reference` holds some. Fronts, heights, profiles and energies are
+            compared with these, since the front of some points is not that of all. None: `reference` holds all.
+        given: first frames that the rollout took from the reference; MSE_n counts its own frames from there on.
 
     Returns:
         The entries of `ERRORS`, then the rollout's own `SUMMARY`.
@@ -163,31 +205,42 @@ def rollout_errors(predicted: Trajectory, reference: Trajectory) -> dict[str, fl
         InputError: different particles or time steps.
     """
     finite = min(num_finite_frames(predicted), reference.num_frames)
-    predicted, reference = mobile(cut(predicted, finite)), mobile(reference)
-    squared = measures.position_mse(predicted, reference)
-    failed = finite < reference.num_frames
-    steps = reference.num_frames - 1
+    own = cut(predicted, finite)
     errors = dict.fromkeys((quantity.name for quantity in (*ERRORS, *SUMMARY)), math.nan)
     errors["finite_fraction"] = finite / reference.num_frames
+    squared = measures.position_mse(mobile(own), mobile(reference))[given - 1 :]
     errors |= {f"mse_{n}": measures.rollout_mse(squared, n) for n in MSE_STEPS}
-    if failed:
+    if finite < reference.num_frames:
         return errors
-    spacing = measures.particle_spacing(reference)
-    got, truth = summarise(predicted), {name: float(c[-1]) for name, c in compute_curves(reference).items()}
+    errors["mse_end"] = measures.rollout_mse(squared, len(squared) - 1)
+    spacing = measures.particle_spacing(mobile(reference))
+    errors["position_error"] = math.sqrt(squared[-1] * reference.scene.dim) / spacing
+    return errors | flow_errors(Measured(own), Measured(reference) if whole is None else whole)
+
+
+def flow_errors(predicted: Measured, reference: Measured) -> dict[str, float]:
+    """Compare what two runs of a scene did as a whole; they may have different particles.
+
+    Args:
+        predicted: what is judged, finite up to the reference's last frame.
+        reference: what it should be, with as many frames.
+
+    Returns:
+        The entries of `ERRORS` that follow no single particle, then the `SUMMARY` of `predicted`.
+    """
+    got, truth = predicted.summary, reference.summary
+    errors = {"runout_99_difference": got["runout_99"] - truth["runout_99"]}
     for name in ("runout_99", "runout_995", "runout_max"):
         errors[f"{name}_error"] = _relative(got[name], truth[name], MINIMAL_RUNOUT)
-    for name in ("height_99", "height_max", "mean_height"):
+    for name in ("height_99", "height_max", "mean_height", "kinetic_energy_peak"):
         errors[f"{name}_error"] = _relative(got[name], truth[name], 0.0)
-    errors["runout_99_difference"] = got["runout_99"] - truth["runout_99"]
-    errors["profile_l1"] = profile_l1(predicted, reference)
-    errors["mse_end"] = measures.rollout_mse(squared, steps)
-    errors["position_error"] = math.sqrt(squared[-1] * reference.scene.dim) / spacing
+    errors["profile_l1"] = profile_l1(predicted.flow, reference.flow)
     return errors | got
 
 
 def profile_l1(predicted: Trajectory, reference: Trajectory) -> float:
     """Return ∫ |h − h_reference| dx / ∫ h_reference dx of the last frames (`measures.deposit_profile`)."""
-    width = PROFILE_BIN * measures.particle_spacing(reference)
+    width = PROFILE_BIN * max(measures.particle_spacing(each) for each in (predicted, reference))
     heights = [
         measures.deposit_profile(
             flow.position[-1].astype(np.float64), flow.mass.astype(np.float64), reference.scene, width

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gns_pl.evaluation.report import HEADER, NOTE, describe, number, percent, scene_rows
+from gns_pl.evaluation.report import NOTE, describe, describe_start, header, number, percent, scene_rows
+from gns_pl.evaluation.speed import speed_sentence
 from gns_pl.io import atomic_path
 
 TEMPLATE = "report.html"
 
 SHARED = (
-    ("runout_height", "Runout and height over time"),
+    ("runout_height", "Runout and height over time; shaded is the range of the placements"),
     ("laws", "Runout beside published laws"),
     ("energy", "Energy and speed"),
     ("familiarity", "How far each run is from training; above the dashed line it is beyond (docs/trust.md)"),
@@ -21,7 +22,11 @@ SHARED = (
 """Figures of all scenes together: name of the file, caption."""
 
 OF_SCENE = (
-    ("evolution_{}.png", "Snapshots; the line is the failure surface"),
+    (
+        "evolution_{}.png",
+        "Snapshots of the run from MPM's own points, those that the network has; where bodies stand on the floor the "
+        "line is the failure surface",
+    ),
     ("still_{}.png", "The end in three dimensions"),
     ("{}.gif", "The whole run"),
 )
@@ -51,7 +56,7 @@ def write_page(path: Path, documents: Mapping[str, Mapping[str, Any]], folders: 
     models = [_model(name, document, folders[name]) for name, document in documents.items()]
     scenes = list(dict.fromkeys(scene for document in documents.values() for scene in document["scenes"]))
     text = environment.get_template(TEMPLATE).render(
-        models=models, scenes=scenes, header=HEADER, note=NOTE, compared=COMPARED, documents=documents
+        models=models, scenes=scenes, note=NOTE, compared=COMPARED, documents=documents
     )
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -63,6 +68,7 @@ def _model(name: str, document: Mapping[str, Any], folder: Path) -> dict[str, An
     scenes = {
         key: {
             "text": describe(scene).replace("**", ""),
+            "header": header(scene),
             "rows": scene_rows(scene),
             "figures": [_figure(folder / pattern.format(key), caption) for pattern, caption in OF_SCENE],
             "verdict": verdict(scene),
@@ -86,29 +92,34 @@ def _figure(path: Path, caption: str) -> dict[str, str] | None:
 
 
 def verdict(scene: Mapping[str, Any]) -> str:
-    """Return one sentence about a scene: how far the runout is off, beside what the reference leaves open, and when."""
+    """Return what matters of a scene: how far the runout is off, beside what the reference leaves open, and times."""
+    placed = scene["placements"]
     if scene["failed_at"] is not None:
         return f"The rollout failed after {scene['failed_at']:.3g} s: there is nothing to judge."
     if scene.get("failure"):
         return f"No sand does what this rollout did: {scene['failure']} (docs/stability.md)."
-    errors, spread, wall = scene["errors"]["learned"], scene["reference_spread"], scene["wall_seconds"]
-    if errors["runout_99_error"] is None:
+    if placed["number"] and placed["failed"] == placed["number"]:
+        return f"The rollouts of all {placed['number']} placements failed: there is nothing to judge."
+    spread = scene["reference_spread"]
+    error = scene["errors"]["learned"]["runout_99_error"]
+    if error is None:
         return "The reference does not advance, so there is no relative error of the runout."
-    error = errors["runout_99_error"]
     text = f"The final runout of 99 % of the mass is {abs(100 * error):.1f} % {'longer' if error > 0 else 'shorter'}"
-    text += " than by MPM"
+    text += " than by MPM" if scene["reference_points"]["all"] else " than by the stored points of MPM"
+    known = [value for value in placed["runout_99_error"] if value is not None]
+    if known:
+        std, largest = placed["std"]["runout_99_error"], max(known, key=abs)
+        text += f" in the mean of {len(known)} placements (± {100 * std:.1f} %, at most {100 * largest:+.1f} %)"
     own, truth = spread.get("runout_99"), scene["reference"]["runout_99"]
     if own is not None and truth:
-        text += f", which itself changes by {100 * own / abs(truth):.0f} % on other cells"
-    if wall["learned"] and wall["reference"]:
-        ratio = wall["reference"] / wall["learned"]
-        text += f"; {number(wall['learned'])} s instead of {number(wall['reference'])} s, "
-        text += f"{ratio:.2g} times faster" if ratio >= 1 else f"{1 / ratio:.2g} times slower"
-    return f"{text}."
+        text += f"; MPM itself changes by {100 * own / abs(truth):.0f} % on other cells"
+    if placed["failed"]:
+        text += f"; {placed['failed']} of {placed['number']} placements failed"
+    return f"{text}. {speed_sentence(scene)}".rstrip()
 
 
 def trust(scene: Mapping[str, Any]) -> str:
-    """Return in words whether the run stayed where the network was trained, and how far placements come apart."""
+    """Return in words whether the run stayed where the network was trained."""
     found = scene["familiarity"]
     if found is None:
         text = "The checkpoint does not say what it saw in training."
@@ -116,12 +127,6 @@ def trust(scene: Mapping[str, Any]) -> str:
         text = f"Within what was seen in training (distance {found['early']:.2g} until τc)."
     else:
         text = f"Beyond what was seen in training: {found['sentence']}."
-    placed = [value for value in scene["placements"] if value is not None]
-    if placed:
-        text += (
-            f" From {len(scene['placements'])} other placements the runout is {min(placed):.3g} to {max(placed):.3g} L0"
-        )
-        text += "." if len(placed) == len(scene["placements"]) else "; others failed."
     return text
 
 
@@ -140,6 +145,7 @@ def provenance(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("data set", str(data.get("name", ""))),
         ("hash of the data", str(made.get("manifest_sha256", ""))),
         ("commit of the training", str(made.get("commit", ""))),
+        ("start", describe_start(model, next(iter(document["scenes"].values()))["given_frames"])),
         ("this evaluation", f"{run['command']}, {run['date']}"),
         ("machine", str(run["machine"])),
         (

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gns_pl.checkpoint import Checkpoint
 
 FORMAT = "gns_pl evaluation"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 ROWS: tuple[tuple[str, str, str], ...] = (
     ("runout, 99 % of the mass [L0]", "runout_99", "runout_99_error"),
@@ -29,7 +29,7 @@ ROWS: tuple[tuple[str, str, str], ...] = (
     ("height, maximum [L0]", "height_max", "height_max_error"),
     ("mean height [m]", "mean_height", "mean_height_error"),
     ("front at rest [τc]", "arrest_time", ""),
-    ("peak kinetic energy [J]", "kinetic_energy_peak", ""),
+    ("peak kinetic energy [J]", "kinetic_energy_peak", "kinetic_energy_peak_error"),
     ("final mean speed [m/s]", "speed_mean", ""),
     ("deepest penetration [spacing]", "penetration_max", ""),
     ("nearest other, 1 % [spacing]", "spacing_1", ""),
@@ -47,21 +47,28 @@ ERROR_ROWS: tuple[tuple[str, str], ...] = (
 )
 """Rows that only a comparison has: label, key of the errors."""
 
-HEADER = ("", "MPM", "±", "learned", "error", "still")
-
 NOTE = """\
-Everything is measured at the last frame unless the row says otherwise. Errors are relative to the MPM that taught the \
-model, not to a converged one; "±" is by how much MPM itself changes on other cells (the paragraph above \
-says which), so that a smaller error means nothing. Judge by the 99 % fronts: the maximum is a few stragglers. Wall \
-times are those of the loops alone: MPM's as measured when the reference was computed (it is cached); the learned \
-simulator's with neighbour search and copies to and from its device. Loading, compilation and files are left out of \
-both. In "still" nothing moves. docs/evaluation.md defines every number."""
+Everything is measured at the last frame unless the row says otherwise. MPM's numbers are those of all its points, and \
+errors are relative to them: to the MPM that taught the model, not to a converged one. "learned" and "error" are the \
+mean and standard deviation over the placements of the particles; MSE, position error and transport follow single \
+particles and are of the run that starts from MPM's own. The second "±" is by how much MPM itself changes on other \
+cells (the paragraph above says which): a smaller error means nothing. Judge by the 99 % fronts: the maximum is a few \
+stragglers. Times are those of the loops alone, without loading, compilation and files: of the learned simulator the \
+median over the placements, measured now; of MPM on the cells of the data, measured when the reference was computed \
+(it is cached). They are of different sessions and different accuracy, and make no ratio; evaluation.speed=true \
+measures one. In "still" nothing moves. docs/evaluation.md defines every number."""
 
 
-def document(checkpoint: Checkpoint, scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def header(scene: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the heads of the columns of `scene_rows`."""
+    return ("", "MPM" if scene["reference_points"]["all"] else "MPM, stored points", "±", "learned", "error", "still")
+
+
+def document(name: str, checkpoint: Checkpoint, scenes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return the content of metrics.json, in plain values, with None for what is not finite.
 
     Args:
+        name: of the checkpoint, as it was typed.
         checkpoint: what was evaluated.
         scenes: name → its part.
     """
@@ -71,6 +78,7 @@ def document(checkpoint: Checkpoint, scenes: Mapping[str, Mapping[str, Any]]) ->
         "gns_pl_version": __version__,
         "run": run(),
         "checkpoint": {
+            "name": name,
             "model": checkpoint.simulator.config.to_dict(),
             "data": checkpoint.data,
             "provenance": checkpoint.provenance,
@@ -114,7 +122,8 @@ def write(content: Mapping[str, Any], out: Path) -> list[Path]:
     metrics.write_text(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
     parts = []
     for name, scene in content["scenes"].items():
-        rows = [HEADER, ("---",) + ("---:",) * (len(HEADER) - 1), *scene_rows(scene)]
+        heads = header(scene)
+        rows = [heads, ("---",) + ("---:",) * (len(heads) - 1), *scene_rows(scene)]
         lines = "\n".join(f"| {' | '.join(row)} |" for row in rows)
         parts.append(f"## {name}\n\n{describe(scene)}\n\n{lines}\n")
     table.write_text("\n".join([*parts, NOTE, ""]), encoding="utf-8")
@@ -128,6 +137,8 @@ def describe(scene: Mapping[str, Any]) -> str:
         f"{scene['num_particles']} particles, spacing {scene['spacing']:.3g} m; {scene['num_steps']} steps of "
         f"{scene['dt']:.4g} s = {scene['num_steps'] * scene['dt'] / scene['characteristic_time']:.3g} τc."
     )
+    if scene["given_frames"] > 1:
+        text += f" The rollouts go on from {scene['given_frames']} frames of MPM."
     text += f" {describe_mpm(scene)}"
     if scene["failed_at"] is not None:
         text += f" **The rollout failed: positions are not finite from t = {scene['failed_at']:.4g} s on.**"
@@ -136,11 +147,27 @@ def describe(scene: Mapping[str, Any]) -> str:
     return text
 
 
+def describe_start(model: Mapping[str, Any], given: int) -> str:
+    """Return what rollouts start from; of a network of another program also that it starts there from true frames.
+
+    Args:
+        model: the simulator's config as plain values.
+        given: true frames that every rollout starts from.
+    """
+    if given > 1:
+        return f"Rollouts start from {given} frames of the reference."
+    text = "Rollouts start from the scene alone, with straight motion before."
+    if "edge_update" in model:  # of geoelements/gns, and of what is trained with its features
+        text += f" geoelements/gns starts such a network from {model['input_sequence_length']} true frames instead: "
+        text += "evaluation.start=frames"
+    return text
+
+
 def describe_mpm(scene: Mapping[str, Any]) -> str:
     """Return in words how the reference was made, where times were taken, and on which other cells it was run."""
-    made, wall = scene["made_by"]["reference"], scene["wall_seconds"]["reference"]
-    config = made.get("config", {})
-    parts = []
+    made, points = scene["made_by"]["reference"], scene["reference_points"]
+    config, number_of = made.get("config", {}), f"all its {points['number']:,} points"
+    parts = [number_of if points["all"] else "the stored points alone, whose front is not that of all"]
     if "cell_size" in config:
         per = config["points_per_direction"]
         parts.append(f"cells of {config['cell_size']:.3g} m, {per} points per direction, Courant {config['courant']:g}")
@@ -148,14 +175,12 @@ def describe_mpm(scene: Mapping[str, Any]) -> str:
     if "num_threads" in made:
         parts.append(f"{made['num_threads']} threads of {made.get('machine', 'an unknown machine')}")
     solver = str(made.get("solver", ""))
-    text = f"MPM: {'; '.join(parts) or 'settings unknown'}."
+    text = f"MPM: {'; '.join(parts)}."
     if solver.startswith("imported"):
         text = f"Reference: {solver}, {made.get('source', '')}."
     learned = scene["made_by"]["learned"]
     here = f"{learned.get('num_threads', '?')} threads of {learned.get('machine', 'an unknown machine')}"
     text += f" Learned: {learned.get('device', 'cpu')}, {here}."
-    if wall and made.get("machine") != learned.get("machine"):
-        text += " MPM's time was taken on another machine: remove the cache and run again to compare times."
     cells = scene["reference_spread"]["cells"]
     if cells:
         text += f" ±: against cells {' and '.join(f'{each:g}' for each in cells)} times as large."
@@ -164,21 +189,28 @@ def describe_mpm(scene: Mapping[str, Any]) -> str:
 
 def scene_rows(scene: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return the rows of one scene's table under `HEADER`."""
-    learned, still = scene["errors"]["learned"], scene["errors"]["no_motion"]
+    learned, still, std = scene["errors"]["learned"], scene["errors"]["no_motion"], scene["placements"]["std"]
     rows: list[tuple[str, ...]] = [
         (
             label,
             number(scene["reference"][key]),
             spread(scene, key),
-            number(scene["learned"][key]),
-            percent(learned.get(error)),
+            number(scene["learned"][key], None if error else std.get(key)),
+            percent(learned.get(error), std.get(error)),
             number(scene["no_motion"][key]),
         )
         for label, key, error in ROWS
     ]
-    rows += [(label, "", spread(scene, key), "", number(learned[key]), number(still[key])) for label, key in ERROR_ROWS]
-    wall = scene["wall_seconds"]
-    rows.append(("wall time [s]", number(wall["reference"]), "", number(wall["learned"]), "", ""))
+    rows += [
+        (label, "", spread(scene, key), "", number(learned[key], std.get(key)), number(still[key]))
+        for label, key in ERROR_ROWS
+    ]
+    wall, speed = scene["wall_seconds"], scene.get("speed")
+    rows.append(("time of a run [s]", number(wall["reference"]), "", number(wall["learned"]), "", ""))
+    if speed is not None:
+        rival = speed["as_accurate"] or {"seconds": None}
+        timed = (number(rival["seconds"]), "", number(speed["learned"]["seconds"]), "", "")
+        rows.append(("the same, MPM as accurate [s]", *timed))
     return rows
 
 
@@ -188,18 +220,22 @@ def spread(scene: Mapping[str, Any], key: str) -> str:
     return "" if value is None else number(value)
 
 
-def number(value: float | None) -> str:
-    """Return three significant digits, "–" for None."""
+def number(value: float | None, std: float | None = None) -> str:
+    """Return three significant digits, "–" for None; with one of a standard deviation behind "±"."""
     if value is None:
         return "–"
+    after = f" ± {std:.1g}" if std else ""
     if value == 0:
-        return "0"
-    return f"{value:.2e}" if not 1e-3 <= abs(value) < 1e5 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+        return f"0{after}"
+    plain = f"{value:.2e}" if not 1e-3 <= abs(value) < 1e5 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return plain + after
 
 
-def percent(value: float | None) -> str:
-    """Return a relative error in per cent with its sign, "" for None."""
-    return "" if value is None else f"{100 * value:+.1f} %"
+def percent(value: float | None, std: float | None = None) -> str:
+    """Return a relative error in per cent with its sign, "" for None; with a standard deviation behind "±"."""
+    if value is None:
+        return ""
+    return f"{100 * value:+.1f}{'' if std is None else f' ± {100 * std:.1f}'} %"
 
 
 def show(content: Mapping[str, Any]) -> None:
@@ -209,11 +245,13 @@ def show(content: Mapping[str, Any]) -> None:
     from rich.table import Table
 
     console = Console(markup=False, highlight=False)
+    if not console.is_terminal:  # of unknown width: nothing is folded
+        console.width = 120
     for name, scene in content["scenes"].items():
         console.print(f"\n{name}: {describe(scene).replace('**', '')}", soft_wrap=True)
         table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-        for column, head in enumerate(HEADER):
-            table.add_column(head, justify="right" if column else "left", no_wrap=True)
+        for column, head in enumerate(header(scene)):
+            table.add_column(head, justify="right" if column else "left", overflow="fold")
         for row in scene_rows(scene):
             table.add_row(*row)
         console.print(table)

@@ -44,6 +44,7 @@ def log_evaluation(
                 run.summary.update({f"{name}/{group}/{key}": value for key, value in scene[group].items()})
             errors = scene["errors"]["learned"]
             run.summary.update({f"{name}/errors/{key}": value for key, value in errors.items()})
+            run.summary.update({f"{name}/std/{key}": value for key, value in scene["placements"]["std"].items()})
             run.summary.update({f"{name}/failed_at": scene["failed_at"]})
             run.summary.update(
                 {f"{name}/familiarity/{key}": value for key, value in (scene["familiarity"] or {}).items()}
@@ -152,12 +153,12 @@ def started(job_type: str, config: Mapping[str, Any], *, out: Path, offline: boo
 
 
 def _table(wandb: Any, document: Mapping[str, Any]) -> Any:
-    table = wandb.Table(columns=["scene", "quantity", "reference", "spread", "learned", "no_motion"])
+    table = wandb.Table(columns=["scene", "quantity", "reference", "spread", "learned", "learned_std", "no_motion"])
     for name, scene in document["scenes"].items():
-        for key in scene["reference"]:
-            own = scene["reference_spread"].get(key)
-            table.add_data(name, key, scene["reference"][key], own, scene["learned"][key], scene["no_motion"][key])
-        for key, value in scene["errors"]["learned"].items():
-            own = scene["reference_spread"].get(key)
-            table.add_data(name, key, None, own, value, scene["errors"]["no_motion"][key])
+        own, std, errors = scene["reference_spread"], scene["placements"]["std"], scene["errors"]
+        for key, value in scene["reference"].items():
+            learned, still = scene["learned"][key], scene["no_motion"][key]
+            table.add_data(name, key, value, own.get(key), learned, std.get(key), still)
+        for key, value in errors["learned"].items():
+            table.add_data(name, key, None, own.get(key), value, std.get(key), errors["no_motion"][key])
     return table

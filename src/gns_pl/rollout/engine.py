@@ -180,48 +180,51 @@ def rollout(
     start: Trajectory,
     num_steps: int,
     *,
+    given: int = 1,
     step: Callable[[Tensor, Static], Tensor] | None = None,
     rest: Rest | None = None,
     watch: Watch | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
-    """Unroll `simulator` from the first frame of `start`, on the device its weights are on.
+    """Unroll `simulator` from the first frames of `start`, on the device its weights are on.
 
     The loop ends early at the first frame that is not finite; the frames before it are returned.
 
     Args:
         simulator: makes one step.
-        start: its first frame, initial velocity, types, material and scene are used; later frames only for kinematic
-            particles, whose script they are.
+        start: its first `given` frames, initial velocity, types, material and scene are used; later frames only for
+            kinematic particles, whose script they are.
         num_steps: frames to add.
+        given: frames of `start` that are taken as they are; the steps go on from the last of them.
         step: what makes the steps in the simulator's place, as of `acceleration`.
         rest: by which the loop ends early when the scene has come to rest.
         watch: by which it ends early at a failure; the frame that failed is the last one.
         on_step: called with the number of steps made and `num_steps`.
 
     Returns:
-        Up to `num_steps` + 1 frames at the simulator's time step; `provenance["wall_seconds"]` is the time of the loop,
-        `provenance["failed_at"]` [s] is there if it ended early, with `provenance["failure"]` if it was watched,
+        Up to `num_steps` + `given` frames at the simulator's time step; `provenance["wall_seconds"]` is the time of the
+        loop, `provenance["failed_at"]` [s] is there if it ended early, with `provenance["failure"]` if it was watched,
         `provenance["at_rest_from"]` if at rest.
 
     Raises:
         InputError: a start that does not fit the simulator.
     """
-    frames, finite = [start.position[0].astype(np.float32)], True
+    past, finite = start.position[:given].astype(np.float32), True
+    frames = list(past)
     began = time.perf_counter()
     with torch.inference_mode():
-        for parts in unroll(simulator, [Run(start, num_steps)], step, rest=rest, watches=[watch]):
+        for parts in unroll(simulator, [Run(start, num_steps, past, given - 1)], step, rest=rest, watches=[watch]):
             finite = 0 in parts
             if finite:
                 frames.append(parts[0].cpu().numpy())
                 if on_step is not None:
-                    on_step(len(frames) - 1, num_steps)
+                    on_step(len(frames) - given, num_steps)
     provenance: dict[str, object] = {"solver": "gns_pl.rollout"}
     if watch is not None and watch.failure is not None:
         provenance |= {"failed_at": watch.failure.time, "failure": watch.failure.sentence}
     elif not finite:
         provenance["failed_at"] = len(frames) * simulator.config.dt
-    elif len(frames) <= num_steps:
+    elif len(frames) < num_steps + given:
         provenance["at_rest_from"] = (len(frames) - 1) * simulator.config.dt
     provenance["wall_seconds"] = time.perf_counter() - began
     provenance["device"] = str(simulator.velocity_scale.device)

@@ -8,12 +8,13 @@ from importlib.util import find_spec
 
 from gns_pl.viz.animation import write_animation
 from gns_pl.viz.chart import Mark, plot_chart
+from gns_pl.viz.evolution import plot_evolution
 from gns_pl.viz.familiarity import plot_familiarity
 from gns_pl.viz.laws import plot_laws
 from gns_pl.viz.learning_curve import plot_learning_curve
 from gns_pl.viz.notebook import interactive
 from gns_pl.viz.paraview import write_paraview
-from gns_pl.viz.plots import plot_curves, plot_evolution
+from gns_pl.viz.plots import plot_curves
 from gns_pl.viz.scene3d import render_film, render_still
 from gns_pl.viz.survival import plot_survival
 from gns_pl.viz.sweep import SweepPoint, plot_sweep

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.trajectory import Trajectory
-from gns_pl.viz.raster import AMBIENT, View, colour_map, displacement, displacement_limit, draw_grains, side_window
+from gns_pl.viz.colouring import Colouring
+from gns_pl.viz.raster import AMBIENT, View, draw_grains, obstacle_outlines, side_window
 
 Pixels = NDArray[np.uint8]
 
@@ -29,6 +30,12 @@ COVERAGE = (0.75, 0.5, 0.25)
 TONES = SHADES + len(COVERAGE)
 """Palette entries per colour; GREYS + COLOURS · TONES = 256."""
 
+FIXED = 9
+"""Grey of what is on no scale: kinematic particles."""
+
+TALLEST = 0.7
+"""Largest height of a panel over the width of the image."""
+
 DOTS_PER_INCH = 100
 PLAY_SECONDS, HOLD_SECONDS = 5.0, 1.5
 """Playing time of the motion, and how long the last frame stays."""
@@ -43,7 +50,7 @@ def write_animation(
     num_frames: int,
     width: int,
 ) -> None:
-    """Write a GIF with one panel per simulator, seen from the side, coloured by displacement.
+    """Write a GIF with one panel per simulator, seen from the side, coloured as `plot_evolution` does.
 
     Args:
         trajectories: title → trajectory of one scene; the last one is the reference, which sets the frames and the
@@ -58,29 +65,30 @@ def write_animation(
 
     reference = list(trajectories.values())[-1]
     window = side_window(list(trajectories.values()), diameter)
-    limit = displacement_limit(reference)
-    canvas, corners, view = _scenery(trajectories, window, limit, width)
+    colouring = Colouring.of(reference)
+    palette = _palette(colouring)
+    canvas, corners, view = _scenery(trajectories, window, colouring, width)
     chosen = np.unique(np.linspace(0, reference.num_frames - 1, min(num_frames, reference.num_frames)).round())
     images = []
     for frame in chosen.astype(int):
         pixels = canvas.copy()
         for (top, left), trajectory in zip(corners, trajectories.values(), strict=True):
             if frame < trajectory.num_frames:
-                _stamp_grains(pixels[top:, left:], trajectory, frame, view, diameter, limit)
+                _stamp_grains(pixels[top:, left:], trajectory, frame, view, diameter, colouring)
         time = frame * reference.dt
         _stamp_text(pixels, f"t = {time:.2f} s = {time / time_scale:.1f} τc")
         image = Image.fromarray(pixels)
-        image.putpalette(_palette())
+        image.putpalette(palette)
         images.append(image)
     beat = max(20, round(1000 * PLAY_SECONDS / len(images) / 10) * 10)
     durations = [beat] * (len(images) - 1) + [round(1000 * HOLD_SECONDS)]
     images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=False)
 
 
-def _palette() -> list[int]:
+def _palette(colouring: Colouring) -> list[int]:
     """Return the 256 colours of all frames: greys, then every colour in every tone."""
     greys = np.repeat(np.linspace(0, 1, GREYS)[:, None], 3, axis=1)
-    colours = np.asarray(colour_map()(np.linspace(0, 1, COLOURS)))[:, None, :3]
+    colours = np.asarray(colouring.colour_map()(np.linspace(0, 1, COLOURS)))[:, None, :3]
     lit = colours * np.linspace(AMBIENT, 1, SHADES)[:, None]
     edge = np.array(COVERAGE)[:, None]
     faint = colours * 0.5 * (1 + AMBIENT) * edge + 1 - edge
@@ -95,19 +103,22 @@ def _colour_index(share: NDArray[np.floating], tone: NDArray[np.integer]) -> Pix
 
 
 def _stamp_grains(
-    pixels: Pixels, trajectory: Trajectory, frame: int, view: View, diameter: float, limit: float
+    pixels: Pixels, trajectory: Trajectory, frame: int, view: View, diameter: float, colouring: Colouring
 ) -> None:
     """Draw the grains of one frame from the upper left corner of `pixels` on, two by two samples a pixel."""
     rows, columns = view.shape
     fine = View(view.lower, view.upper, 2 * view.resolution)
-    drawn = draw_grains(trajectory.position[frame], displacement(trajectory, frame), fine, diameter)
+    drawn = draw_grains(trajectory.position[frame], colouring.shares(trajectory, frame), fine, diameter)
     values, shades = (_by_fours(image, rows, columns) for image in drawn)
     covered = np.isfinite(values).sum(axis=-1)
     grain = covered > 0
     count = covered[grain]
-    share, light = (np.nansum(image[grain], axis=-1) / count for image in (values / limit, shades))
+    share, light = (np.nansum(image[grain], axis=-1) / count for image in (values, shades))
+    if colouring.names:  # between two materials there is no third
+        share = np.nanmax(values[grain], axis=-1)
     shade = np.clip((light - AMBIENT) / (1 - AMBIENT) * SHADES, 0, SHADES - 1).astype(np.int64)
-    pixels[:rows, :columns][grain] = _colour_index(share, np.where(count == 4, shade, TONES - count))
+    index = _colour_index(share, np.where(count == 4, shade, TONES - count))
+    pixels[:rows, :columns][grain] = np.where(share < 0, FIXED, index)
 
 
 def _by_fours(image: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
@@ -135,7 +146,7 @@ def _stamp_text(pixels: Pixels, text: str) -> None:
 def _scenery(
     trajectories: Mapping[str, Trajectory],
     window: tuple[tuple[float, float], tuple[float, float]],
-    limit: float,
+    colouring: Colouring,
     width: int,
 ) -> tuple[Pixels, list[tuple[int, int]], View]:
     """Draw what stays: returns the canvas, the upper left pixel of every panel, and the panels' view."""
@@ -143,15 +154,15 @@ def _scenery(
     from matplotlib.figure import Figure
 
     lower, upper = window
-    left, gap, right, top, bottom = 52, 24, 18, 54, 96
+    left, gap, right, top, bottom = 52, 40, 18, 54, 96
     panel = (width - left - right - gap * (len(trajectories) - 1)) // len(trajectories)
-    view = View(lower, upper, panel / (upper[0] - lower[0]))
+    view = View(lower, upper, min(panel / (upper[0] - lower[0]), TALLEST * width / (upper[1] - lower[1])))
     rows, columns = view.shape
     height = top + rows + bottom
     figure = Figure(figsize=(width / DOTS_PER_INCH, height / DOTS_PER_INCH), dpi=DOTS_PER_INCH)
     corners = []
     for index, (title, trajectory) in enumerate(trajectories.items()):
-        start = left + index * (panel + gap)
+        start = left + index * (panel + gap) + (panel - columns) // 2
         corners.append((top, start))
         axes = figure.add_axes((start / width, bottom / height, columns / width, rows / height))
         _dress(axes, trajectory, lower, upper, title)
@@ -161,9 +172,15 @@ def _scenery(
             axes.set_ylabel("z [m]", fontsize=9)
     reference = list(trajectories.values())[-1]
     bar = figure.add_axes((0.3, 40 / height, 0.4, 10 / height))
-    bar.set(xlim=(0, limit), yticks=[])
-    bar.tick_params(labelsize=8, length=3)
-    bar.set_xlabel("displacement [m]", fontsize=9, labelpad=1)
+    if colouring.names:
+        number = len(colouring.names)
+        bar.set(xlim=(0, number), yticks=[])
+        bar.set_xticks(np.arange(number) + 0.5, colouring.names, fontsize=9)
+        bar.tick_params(length=0)
+    else:
+        bar.set(xlim=(0, colouring.limit), yticks=[])
+        bar.tick_params(labelsize=8, length=3)
+        bar.set_xlabel("displacement [m]", fontsize=9, labelpad=1)
     short = [title for title, trajectory in trajectories.items() if trajectory.num_frames < reference.num_frames]
     if short:
         figure.text(0.01, 0.02, f"not finite to the end: {', '.join(short)}", fontsize=8)
@@ -188,8 +205,8 @@ def _dress(
     axes.set_xlabel("x [m]", fontsize=9, labelpad=1)
     axes.tick_params(labelsize=8, length=3)
     axes.spines[["top", "right"]].set_visible(False)
+    for outline in obstacle_outlines(trajectory.scene, lower, upper):
+        axes.fill(*outline.T, facecolor="0.8", edgecolor="0.4", linewidth=0.6)
     for body in trajectory.scene.bodies:
-        corner, size = (body.position[0], body.position[-1]), (body.size[0], body.size[-1])
-        outline = [(0.0, 0.0), (0.0, size[1]), (size[0], size[1]), (size[0], 0.0)]
-        points = [(corner[0] + x, corner[1] + z) for x, z in outline]
-        axes.plot(*zip(*points, strict=True), color="0.6", linewidth=0.8, linestyle=(0, (4, 3)))
+        (x0, z0), (x1, z1) = ((corner[0], corner[-1]) for corner in (body.position, body.upper))
+        axes.plot([x0, x0, x1, x1], [z0, z1, z1, z0], color="0.6", linewidth=0.8, linestyle=(0, (4, 3)))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.scene import Box, Plane, Scene
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class View:
 
 
 def side_window(trajectories: Sequence[Trajectory], diameter: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the lower and upper corner of a window that shows the box as far up as any grain ever is [m].
+    """Return the lower and upper corner of a window that shows the box as far up as any grain or block ever is [m].
 
     Args:
         trajectories: of one scene, finite.
@@ -55,8 +56,51 @@ def side_window(trajectories: Sequence[Trajectory], diameter: float) -> tuple[tu
     """
     scene = trajectories[0].scene
     top = max(float(trajectory.position[:, :, -1].max()) for trajectory in trajectories) + 1.5 * diameter
+    blocks = [obstacle.upper[-1] + diameter for obstacle in scene.obstacles if isinstance(obstacle, Box)]
+    top = max(top, *blocks) if blocks else top
     top = min(max(top, scene.lower[-1] + 2 * diameter), scene.upper[-1])
     return (scene.lower[0], scene.lower[-1]), (scene.upper[0], top)
+
+
+def obstacle_outlines(
+    scene: Scene, lower: tuple[float, float], upper: tuple[float, float]
+) -> list[NDArray[np.float64]]:
+    """Return the obstacles as seen from the side, cut to a window: corners [M, 2] [m] of a convex polygon each.
+
+    Args:
+        scene: in two or three dimensions; a plane that is inclined across the view is cut in the middle of the box.
+        lower: x and z of the window's lower left corner [m].
+        upper: x and z of its upper right corner [m].
+    """
+    window = np.array([lower, (lower[0], upper[1]), upper, (upper[0], lower[1])], dtype=np.float64)
+    outlines = []
+    for obstacle in scene.obstacles:
+        if isinstance(obstacle, Plane):
+            middle = (np.array(scene.lower) + scene.upper) / 2
+            places = np.tile(middle, (4, 1))
+            places[:, [0, -1]] = window
+            height = (places - obstacle.point) @ np.array(obstacle.normal)
+            outline = _behind(window, height)
+        else:
+            low, high = (np.array([corner[0], corner[-1]]) for corner in (obstacle.position, obstacle.upper))
+            (x0, z0), (x1, z1) = np.maximum(low, lower), np.minimum(high, upper)
+            outline = np.array([[x0, z0], [x0, z1], [x1, z1], [x1, z0]] if x0 < x1 and z0 < z1 else []).reshape(-1, 2)
+        if len(outline) > 2:
+            outlines.append(outline)
+    return outlines
+
+
+def _behind(corners: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the part of a convex polygon [M, 2] whose corners' heights over a line [M] are not positive."""
+    kept = []
+    for number, corner in enumerate(corners):
+        before = number - 1
+        if (height[before] < 0) != (height[number] < 0):
+            share = height[before] / (height[before] - height[number])
+            kept.append(corners[before] + share * (corner - corners[before]))
+        if height[number] < 0:
+            kept.append(corner)
+    return np.array(kept).reshape(-1, 2)
 
 
 def draw_grains(

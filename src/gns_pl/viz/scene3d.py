@@ -47,7 +47,7 @@ def render_still(
         trajectory: what to show.
         time: of the moment [s]; the nearest frame is shown.
         frame: number of the frame instead; without either it is the last.
-        colour: "displacement" or "speed".
+        colour: "displacement", "speed" or "material".
         title: over the picture of `trajectory`.
         side_by_side: title → more trajectories of the same box, to the right of it. The last one sets the colour scale.
         limit: upper end of the colour scale [m or m/s]; what 99 % of the grains never exceed if None.
@@ -93,7 +93,7 @@ def render_film(
         trajectories: title → trajectory of one box; the last one is the reference, which sets the moments and the
             colour scale. One that ends earlier leaves its place empty from there on.
         num_frames: at most this many, evenly spaced in time from the first to the last.
-        colour: "displacement" or "speed".
+        colour: "displacement", "speed" or "material".
         limit: upper end of the colour scale [m or m/s]; what 99 % of the grains never exceed if None.
         width: of the film [pixels]; even.
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from gns_pl.errors import InputError
 from gns_pl.trajectory import Trajectory
+from gns_pl.viz.colouring import Colouring, material_names
 from gns_pl.viz.plots import STYLE
 from gns_pl.viz.raster import colour_map
 from gns_pl.viz.stage import (
@@ -42,7 +44,10 @@ class Sheet:
         self.colour = colour
         window = window_of(list(self.trajectories.values()))
         reference = list(self.trajectories.values())[-1]
-        self.limit = limit_of(reference, colour) if limit is None else limit
+        self.materials = Colouring(material_names(reference), 1.0) if colour == "material" else None
+        if self.materials is not None and not self.materials.names:
+            raise InputError("picture: there are no materials to tell apart; choose another colour.")
+        self.limit = limit_of(reference, colour) if limit is None and self.materials is None else limit or 1.0
         require("pyvista", "matplotlib", "PIL")
         self.camera = camera_of(window, reference.scene.dim)
         self.time_scale = collapse_time(reference.scene)
@@ -73,7 +78,10 @@ class Sheet:
         for left, diameters, trajectory in zip(self.lefts, self.diameters, self.trajectories.values(), strict=True):
             frame = round(time / trajectory.dt)
             if frame < trajectory.num_frames:
-                colours = colours_of(trajectory, frame, self.colour, self.limit)
+                if self.materials is not None:
+                    colours = self.materials.pixels(trajectory, frame)
+                else:
+                    colours = colours_of(trajectory, frame, self.colour, self.limit)
                 picture = self.studio.picture(in_space(trajectory.position[frame]), colours, diameters)
             else:
                 picture = self.studio.picture(np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8), np.empty(0))
@@ -107,6 +115,13 @@ class Sheet:
                 axes.set_title(title, loc="left", pad=3, fontweight="bold")
                 _write_lengths(axes, window, self.camera)
             bar = figure.add_axes((0.33, 0.36 * inch, 0.34, 0.08 * inch))
+            if self.materials is not None:
+                number = len(self.materials.names)
+                values = ScalarMappable(Normalize(0, number), self.materials.colour_map())
+                figure.colorbar(values, cax=bar, orientation="horizontal")
+                bar.set_xticks(np.arange(number) + 0.5, self.materials.names, fontsize=8)
+                bar.tick_params(length=0)
+                return _pixels(figure)
             values = ScalarMappable(Normalize(0, self.limit), colour_map())
             figure.colorbar(values, cax=bar, orientation="horizontal", extend="max", extendfrac=0.03)
             bar.set_xlabel(COLOURINGS[self.colour], labelpad=1)
