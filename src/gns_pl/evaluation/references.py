@@ -18,6 +18,7 @@ from gns_pl.generation import DatasetSpec, chosen_every, is_imported, reference_
 from gns_pl.generation.records import stored_folders
 from gns_pl.io import read_manifest, read_trajectory
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import compression_notice
 from gns_pl.trajectory import Trajectory
 
 
@@ -56,6 +57,9 @@ def reference_of(
     """
     if any(not size > 0 for size in cells):
         raise InputError(f"evaluation.spread: sizes of cells over those of the data must be positive, not {cells}.")
+    notice = compression_notice(scene)
+    if notice is not None:
+        print(f"{notice}.", flush=True)
     interval, mpm = checkpoint.simulator.config.dt, checkpoint.data["mpm"]
     whole = reference_trajectory(scene, mpm=mpm, frame_interval=interval, seed=seed, cache_directory=cache)
     others = [

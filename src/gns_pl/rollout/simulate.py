@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +21,16 @@ from gns_pl.errors import InputError
 from gns_pl.generation.lock import locked
 from gns_pl.io import StorageError, file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
-from gns_pl.pretrained import find_checkpoint, pretrained_names
+from gns_pl.pretrained import corrector_names, find_checkpoint, is_corrector, pretrained_names
 from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.familiarity import told
-from gns_pl.rollout.fitted import start_of
+from gns_pl.rollout.fitted import plane_of, start_of
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
+from gns_pl.rollout.reduction import Reduction
 from gns_pl.rollout.rest import STEPS, Rest
 from gns_pl.rollout.stabilise import stabilise as stabilised
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
@@ -49,12 +50,14 @@ class Job:
         run: what is left to do.
         source: file that holds the frames made before; None if there are none.
         ended: why and when an earlier run of it ended before its time, in words; empty if it did not.
+        reduction: from the scene of the file to the one that is run.
     """
 
     path: Path
     run: Run
     source: Path | None
     ended: str
+    reduction: Reduction
 
 
 def simulate_config(cfg: DictConfig) -> list[Path]:
@@ -63,10 +66,17 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     ckpt, named, tolerance = (settings.pop(key) for key in ("ckpt", "scene", "tolerance"))
-    catalogue, choice, explain, way = (settings.pop(key) for key in ("catalogue", "choice", "explain", "way"))
-    settings.pop("paper")
-    chooses = tolerance is not None or explain or way is not None
-    if not named or not (ckpt or chooses):
+    catalogue, choice, explain, way = (settings.pop(key) for key in ("catalogue", "choice", "explain", "solver"))
+    cell_size, check = settings.pop("cell_size"), settings.pop("check")
+    for key in ("paper", "way", "report", "reporting"):
+        settings.pop(key)
+    chooses = tolerance is not None or explain or way is not None or check or cell_size is not None
+    if ckpt and not chooses and (ckpt in choice["handed"] or is_corrector(ckpt)):
+        from gns_pl.rollout.by_choice import way_name
+
+        choice["corrected"] = [ckpt] if is_corrector(ckpt) else []
+        ckpt, way = None, way_name(ckpt)
+    if not named or not (ckpt or way or chooses):
         raise InputError(
             "which scene, and by which way? python simulate.py scene=column_collapse tolerance=0.05, or ckpt=collapse "
             "scene=FILE.yaml"
@@ -74,16 +84,20 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
     settings["out"] = Path(settings["out"])
     checkpoint = find_checkpoint(ckpt) if ckpt else None
     if checkpoint is not None and not checkpoint.is_file():
-        known = ", ".join(pretrained_names())
+        known = ", ".join([*pretrained_names(), *corrector_names(), *choice["handed"]])
         raise InputError(f"{checkpoint}: there is no such checkpoint; those that come with gns_pl are {known}.")
     scenes = [_named_scene(each, catalogue) for each in ([named] if isinstance(named, str) else named)]
     if checkpoint is None:
         from gns_pl.rollout.by_choice import simulate_by_choice
 
-        kept = {key: settings[key] for key in ("out", "duration", "seed", "rest_speed", "stabilise")}
+        kept = {key: settings[key] for key in ("out", "duration", "seed", "rest_speed", "stabilise", "device")}
+        kept |= {"cell_size": cell_size, "check": check}
         return simulate_by_choice(scenes, tolerance=tolerance, explain=explain, way=way, **choice, **kept)
     if chooses:
-        raise InputError("ckpt= names the way already; leave it out, and tolerance=, way=, explain= choose one.")
+        raise InputError(
+            "ckpt= names the way already; leave it out, and tolerance=, solver=, explain= choose one (cell_size= and "
+            "check= are MPM's)."
+        )
     return simulate(checkpoint, scenes, **settings)
 
 
@@ -160,9 +174,13 @@ def simulate(
     with processes(fast.velocity_scale.device) as (rank, size), alone(out) if rank == 0 else nullcontext():
         meet()  # so that nobody looks at files another run is still writing
         simulator = stabilised(fast, step=SlabSimulator(fast) if size > 1 else None, **settings)
-        starts = [start_of(scene, checkpoint, seed, identity) for scene in scenes]
+        reductions = [plane_of(scene, simulator.config.dim) for scene in scenes]
+        starts = [start_of(each.scene, checkpoint, seed, identity) for each in reductions]
         length = max(simulator.config.input_sequence_length, STEPS + 1)
-        jobs = [_job(out / f"{start.scene.name}.h5", start, length) for start in starts]
+        jobs = [
+            _job(out / f"{start.scene.name}.h5", start, length, reduction)
+            for start, reduction in zip(starts, reductions, strict=True)
+        ]
         for job in jobs:
             check_run(job.run, simulator.config)
         left = [job for job in jobs if job.run.num_steps or job.source != job.path]
@@ -174,9 +192,12 @@ def simulate(
                 deque(unroll(simulator, [job.run for job in left], rest=rest, watches=watches), maxlen=0)
             return [job.path for job in jobs]
         if left:
+            for job in left:
+                if job.reduction.words:
+                    print(f"{job.run.start.scene.name}: {job.reduction.words}")
             _write(left, simulator, identity, rest, watches)
             for job in left:
-                sentence = told(checkpoint, job.path)
+                sentence = told(checkpoint, job.path, job.reduction)
                 if sentence is not None:
                     print(f"{job.path}: {sentence}; do not trust it without a look at MPM.")
     for job in jobs:
@@ -191,17 +212,18 @@ def _watch(run: Run, dt: float) -> Watch:
     return Watch(run.start, dt, before=before, made=run.made, every=10)
 
 
-def _job(path: Path, start: Trajectory, length: int) -> Job:
+def _job(path: Path, start: Trajectory, length: int, reduction: Reduction) -> Job:
     """Return what is to do for a scene, after a look at what is there; a step needs `length` frames of it."""
+    whole = reduction.lift(start)
     wanted = math.ceil(start.scene.duration / start.dt - 1e-6)
     found = find_frames(path)
     if found is None:
-        return Job(path, Run(start, wanted), None, "")
+        return Job(path, Run(start, wanted), None, "", reduction)
     source, header = found
     same = (
         all(header.provenance.get(key) == value for key, value in start.provenance.items())
-        and header.scene.replace(duration=start.scene.duration) == start.scene
-        and np.array_equal(read_window(source, 0, 1), start.position)
+        and header.scene.replace(duration=whole.scene.duration) == whole.scene
+        and np.array_equal(read_window(source, 0, 1), whole.position)
     )
     if not same:
         raise InputError(
@@ -213,8 +235,8 @@ def _job(path: Path, start: Trajectory, length: int) -> Job:
     ended = f"until it came to rest at {rested:g} s" if isinstance(rested, float) else ended
     left = 0 if ended else max(0, wanted - made)
     first = max(0, made + 1 - length)
-    past = read_window(source, first, made + 1 - first)
-    return Job(path, Run(start, left, past, made), source, ended)
+    past = reduction.project(read_window(source, first, made + 1 - first))
+    return Job(path, Run(start, left, past, made), source, ended, reduction)
 
 
 def _write(
@@ -260,7 +282,7 @@ def _write(
                     looking = watches[number]
                     failure = looking.failure if looking else None
                     if number in parts:
-                        streams[number].append(_frame(parts[number]))
+                        streams[number].append(_frame(parts[number], jobs[number]))
                     elif failure is None:
                         when = (jobs[number].run.made + made) * dt
                         failure = Failure("not finite", when, f"positions were no longer finite at {when:.3g} s")
@@ -306,13 +328,14 @@ def alone(out: Path) -> Iterator[None]:
 
 
 def _open(job: Job) -> TrajectoryStream:
+    start = job.reduction.lift(job.run.start)
     if job.source is not None:
-        return go_on(job.path, job.run.start, job.source, job.run.made + 1)
-    stream = TrajectoryStream(job.path, job.run.start)
-    stream.append(job.run.start.position)
+        return go_on(job.path, start, job.source, job.run.made + 1)
+    stream = TrajectoryStream(job.path, start)
+    stream.append(start.position)
     return stream
 
 
-def _frame(position: torch.Tensor) -> NDArray[np.float32]:
+def _frame(position: torch.Tensor, job: Job) -> NDArray[np.float32]:
     frame: NDArray[np.float32] = position.cpu().numpy()[None]
-    return frame
+    return job.reduction.lift(replace(job.run.start, position=frame)).position if job.reduction.words else frame

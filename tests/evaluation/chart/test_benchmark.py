@@ -17,6 +17,7 @@ from gns_pl.evaluation.chart.records import records_of, write_records
 from gns_pl.evaluation.chart.rows import Tables
 from gns_pl.rollout.by_choice import make_ways, simulate_by_choice
 from gns_pl.rollout.choice import choose, read_records, weigh
+from gns_pl.rollout.measured_range import setup_text
 from gns_pl.scene import Scene
 from tests.conftest import MPM as SETTINGS
 from tests.conftest import make_simulator
@@ -195,7 +196,7 @@ def test_the_uncertainty_is_the_largest_of_its_estimates() -> None:
 
 
 def test_records_take_the_place_of_those_of_the_same_way(tmp_path: Path) -> None:
-    new = records_of(folder(tmp_path).runs)
+    new = records_of(folder(tmp_path).runs, dict.fromkeys(("low fine", "high fine"), setup_text(column())))
     worst = next(each for each in new if (each.way, each.scene) == ("mpm_5", "low"))
     assert worst.runout_error == pytest.approx(-0.44) and worst.seconds == 0.1 and worst.device == "a machine"
     path = tmp_path / "deep" / "records.csv"

@@ -122,7 +122,8 @@ def finish(
 
     made = draw(plan, tables, out, logger=logger)
     ways = {each.name for each in plan.entries if each.for_choice}
-    found = records_of(row for row in plan.runs(tables.runs) if row.name in ways)
+    setups = {each.judged: each.setup for each in plan.scenes}
+    found = records_of((row for row in plan.runs(tables.runs) if row.name in ways), setups)
     for path in (out / RECORDS, *([Path(records)] if records else [])):
         number = write_records(path, found)
         print(f"{path}: {number} records; python simulate.py … tolerance=… choice.records={path} goes by them")
