@@ -147,7 +147,8 @@ def _outcome(start: Trajectory, time: Floats, positions: Iterator[Floats]) -> Ou
     extent = {}
     for axis, name in enumerate("xy"[: scene.dim - 1]):
         low, high = percentile_front(position[None, :, axis], mass, (0.5, 99.5), spacing)[:, 0]
-        extent[name] = (float(low), float(high))
+        # A particle's mass is spread over its spacing, which may reach a little through a wall.
+        extent[name] = (max(float(low), scene.lower[axis]), min(float(high), scene.upper[axis]))
     highest = int(top.argmax())
     failed = start.provenance.get("failed_at")
     failure = str(start.provenance.get("failure", "positions were no longer finite"))

@@ -128,6 +128,11 @@ def write_report(
     return [out / "report.html", out / "metrics.json", *files]
 
 
+def report_lines(rows: Sequence[tuple[str, str]]) -> list[str]:
+    """Return rows of label and text as they are printed below a name."""
+    return [f"  {label:15} {text}" for label, text in rows]
+
+
 def _content(run: ReportedRun, outcome: Outcome, curves: Curves | None) -> dict[str, Any]:
     trajectory = run.trajectory
     return {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.outcome import Outcome, read_outcome
-from gns_pl.evaluation.run_report import ReportedRun, check_reporting, write_report
+from gns_pl.evaluation.run_report import ReportedRun, check_reporting, report_lines, write_report
 from gns_pl.io import read_header, read_trajectory
 from gns_pl.text import override
 
@@ -51,7 +51,7 @@ def simulate_and_describe(cfg: DictConfig) -> list[Path]:
 def describe(path: Path) -> Outcome:
     """Print one block about the run in a file, in metres and seconds."""
     outcome = read_outcome(path)
-    print(f"{path}:", *(f"  {label:15} {text}" for label, text in outcome.rows()), sep="\n", flush=True)
+    print(f"{path}:", *report_lines(outcome.rows()), sep="\n", flush=True)
     return outcome
 
 

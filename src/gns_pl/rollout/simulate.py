@@ -75,7 +75,8 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
         from gns_pl.rollout.by_choice import way_name
 
         choice["corrected"] = [ckpt] if is_corrector(ckpt) else []
-        ckpt, way = None, way_name(ckpt)
+        way = way_name(ckpt)
+        ckpt = None
     if not named or not (ckpt or way or chooses):
         raise InputError(
             "which scene, and by which way? python simulate.py scene=column_collapse tolerance=0.05, or ckpt=collapse "

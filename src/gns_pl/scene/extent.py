@@ -80,7 +80,7 @@ def compression_notice(scene: Scene) -> str | None:
     step = 10.0 ** (math.floor(math.log10(modulus)) - 1)
     return (
         f"scene {scene.name!r}: weight alone compresses {body.material!r}, {body.size[-1]:.3g} m high, by "
-        f"{100 * strain:.2g} % of its height (ρ g H / (2 M), with what stands on it), so heights and runouts are too "
-        f"small; set its youngs_modulus to {math.ceil(modulus / step - 1e-9) * step:.2g} Pa or more for "
+        f"{100 * strain:.2g} % of its height (ρ g H / (2 M), with what stands on it), so its heights and runouts "
+        f"are off; set its youngs_modulus to {math.ceil(modulus / step - 1e-9) * step:.2g} Pa or more for "
         f"{100 * COMPRESSION_LIMIT:g} %"
     )
