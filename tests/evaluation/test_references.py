@@ -75,3 +75,15 @@ def test_a_split_of_the_data_set(tmp_path: Path) -> None:
         stored_references(checkpoint, "exam")
     with pytest.raises(InputError, match="does not say where its data are"):
         stored_references(replace(checkpoint, data=DATA), "test")
+
+
+def test_a_scene_that_sinks_by_its_own_weight_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(references, "reference_trajectory", lambda scene, **_: spreading(scene, 3))
+    checkpoint = Checkpoint(make_simulator(dt=0.02), {**DATA, "mpm": MPM}, {})
+    reference_of(column(), checkpoint, cache=tmp_path, seed=0)
+    assert "compresses" not in capsys.readouterr().out
+    moon = column().replace(gravity=(0, 0, -9810.0))
+    reference_of(moon, checkpoint, cache=tmp_path, seed=0)
+    assert "weight alone compresses 'sand', 0.2 m high, by 66 % of its height" in capsys.readouterr().out
