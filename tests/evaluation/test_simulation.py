@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation import solver_alone
+from gns_pl.evaluation import references, solver_alone
 from gns_pl.evaluation.curves import read_curves
 from gns_pl.evaluation.evaluate import evaluate_config
 from gns_pl.evaluation.run_report import ReportedRun, write_report
@@ -108,3 +108,28 @@ def test_mpm_is_evaluated_alone_with_what_other_cells_change(
     ):
         with pytest.raises(InputError, match=sentence):
             evaluate_config(config("evaluate", *settings, *options))
+
+
+def test_a_scene_in_plane_strain_is_judged_in_its_slice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And one between rough walls, by a simulator of two dimensions, is refused with the reason."""
+
+    def made_up(scene: Scene, *, frame_interval: float, **_: Any) -> Any:
+        # One that is thinned to every third point per direction, to the spacing of the simulator.
+        return spreading(scene, 4, dt=frame_interval)
+
+    monkeypatch.setattr(references, "reference_trajectory", made_up)
+    monkeypatch.setattr(references, "thin_trajectory", lambda whole, *_: whole)
+    write_scene(column(), tmp_path / "smooth.yaml")
+    settings = ("ckpt=column-fast-plane", "evaluation.figures=false", "evaluation.placements=0", "logger.enabled=false")
+    settings += ("evaluation.spread=[]", f"out={tmp_path / 'out'}", f"evaluation.scenes=[{tmp_path / 'smooth.yaml'}]")
+    [document] = evaluate_config(config("evaluate", *settings)).values()
+    said = capsys.readouterr().out
+    assert "column: judged in two dimensions, plane strain: smooth walls at y = const" in said
+    scene = document["scenes"]["column"]
+    assert len(scene["scene"]["lower"]) == 2 and scene["num_particles"] == 8 * 4
+    assert scene["reference"]["mean_height"] == pytest.approx(0.05, rel=0.01)
+    write_scene(column().replace(walls=dict.fromkeys(FACES[3], Wall("friction", 0.4))), tmp_path / "smooth.yaml")
+    with pytest.raises(InputError, match="3 dimensions and the simulator 2, and it is not in plane strain: wall y- is"):
+        evaluate_config(config("evaluate", *settings))
