@@ -150,7 +150,7 @@ def test_two_sizes_of_cells_check_a_run(tmp_path: Path, capsys: pytest.CaptureFi
     for options, sentence in (
         ({"way": "mpm", "cell_size": -1.0}, "cell_size"),
         ({"way": "mpm_4", "cell_size": 0.1}, "cell_size= is that of solver=mpm, not of mpm_4"),
-        ({"way": "nothing"}, "there is no nothing; there are mpm, mpm_4, column-fast"),
+        ({"way": "nothing"}, "there is no nothing; there are mpm, mpm_4, collapse,"),
         ({"way": "mpm", "device": "tpu"}, "device must be one of"),
     ):
         with pytest.raises(InputError, match=sentence):

@@ -58,6 +58,8 @@ def test_what_is_no_slice_is_refused_with_the_reason(name: str, tmp_path: Path) 
 
 
 def test_an_alias_is_a_name_of_the_solver_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(tmp_path / "other", "friction_plane", column().replace(duration=0.02), key="solver")
+    assert "chosen: friction_plane, as asked for; its error on this scene is unmeasured" in capsys.readouterr().out
     for key in ("solver", "way"):
         run(tmp_path / key, "column-fast-plane", column().replace(duration=0.02), key=key)
         assert "chosen: collapse_plane, as asked for" in capsys.readouterr().out

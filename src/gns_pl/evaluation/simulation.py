@@ -33,7 +33,8 @@ def simulate_and_describe(cfg: DictConfig) -> list[Path]:
     from gns_pl.rollout.simulate import simulate_config
 
     paths = simulate_config(cfg)
-    if os.environ.get("RANK", "0") != "0":  # one of several processes of torchrun describes
+    # Of several processes that torchrun has started the first describes.
+    if os.environ.get("WORLD_SIZE", "1") != "1" and os.environ.get("RANK", "0") != "0":
         return paths
     for path in paths:
         describe(path)

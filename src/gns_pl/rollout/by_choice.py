@@ -14,7 +14,7 @@ from gns_pl.checkpoint import move
 from gns_pl.errors import InputError
 from gns_pl.generation import solver
 from gns_pl.io import read_trajectory, write_trajectory
-from gns_pl.pretrained import ALIASES, find_checkpoint, find_corrector
+from gns_pl.pretrained import ALIASES, find_checkpoint, find_corrector, pretrained_names
 from gns_pl.rollout.choice import RECORDS, Option, choose, kind_of, read_records, table, weigh
 from gns_pl.rollout.fitted import CorrectedWay, HandedWay, LearnedWay
 from gns_pl.rollout.simulate import alone, prepare
@@ -135,7 +135,11 @@ def simulate_by_choice(
     ways = make_ways(learned, corrected, handed, cells, mpm, rest_speed, stabilise)
     machine = ", ".join(sorted({f"{each.device}, {each.threads} threads" for each in measured}))
     if way is not None:
-        ways = [_asked_for(way, ways, mpm, cell_size)]
+        name = ALIASES.get(way, way)
+        # What ships, or a file, need not be among those to choose from.
+        if name not in {each.name for each in ways} and find_checkpoint(name).is_file():
+            ways, name = make_ways([name], [], {}, [], mpm, rest_speed, stabilise), way_name(name)
+        ways = [_asked_for(name, ways, mpm, cell_size)]
     elif cell_size is not None:
         raise InputError("cell_size= is that of solver=mpm; tolerance= chooses among choice.cells.")
     chosen: list[tuple[Way, Scene]] = []
@@ -186,9 +190,9 @@ def _asked_for(name: str, ways: Sequence[Way], mpm: Mapping[str, Any], cell_size
     if name != "mpm":
         if cell_size is not None:
             raise InputError(f"cell_size= is that of solver=mpm, not of {name}.")
-        found = next((each for each in ways if each.name in (name, ALIASES.get(name))), None)
+        found = next((each for each in ways if each.name == name), None)
         if found is None:
-            known = ", ".join(["mpm", *(each.name for each in ways), *ALIASES])
+            known = ", ".join(dict.fromkeys(["mpm", *(each.name for each in ways), *pretrained_names(), *ALIASES]))
             raise InputError(f"solver: there is no {name}; there are {known}.")
         return found
     if cell_size is not None:
