@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -101,11 +100,9 @@ def _run(solver: MPMWay, scene: Scene, cells: Sequence[float], interval: float, 
     for size in (1.0, *cells):
         other = {**settings, "cell_size": size * settings["cell_size"]}
         run = reference_trajectory(reduction.scene, other, frame_interval=interval, seed=seed, cache_directory=cache)
-        made.append(run)
+        made.append(reduction.lift(run))
     fine, *others = made
-    spread = resolution_spread(fine, others, fine.spacing)
-    lifted = reduction.lift(fine)
-    return ReportedRun(dataclasses.replace(lifted, provenance=fine.provenance), "MPM", spread, tuple(cells))
+    return ReportedRun(fine, "MPM", resolution_spread(fine, others, fine.spacing), tuple(cells))
 
 
 def _spread_lines(run: ReportedRun) -> list[str]:

@@ -17,7 +17,7 @@ from gns_pl.io import read_trajectory, write_trajectory
 from gns_pl.pretrained import ALIASES, find_checkpoint, find_corrector, pretrained_names
 from gns_pl.rollout.choice import RECORDS, Option, choose, kind_of, read_records, table, weigh
 from gns_pl.rollout.fitted import CorrectedWay, HandedWay, LearnedWay
-from gns_pl.rollout.simulate import alone, prepare
+from gns_pl.rollout.folder import alone, prepare
 from gns_pl.rollout.ways import MPMWay, Way, characteristic_size
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import compression_notice

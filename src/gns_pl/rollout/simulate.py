@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 import gns_pl
 from gns_pl.checkpoint import load_checkpoint, move
 from gns_pl.errors import InputError
-from gns_pl.generation.lock import locked
-from gns_pl.io import StorageError, file_sha256, read_window
+from gns_pl.io import file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
 from gns_pl.pretrained import corrector_names, find_checkpoint, is_corrector, pretrained_names
 from gns_pl.rollout.acceleration import accelerate
@@ -28,6 +27,7 @@ from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.familiarity import told
 from gns_pl.rollout.fitted import plane_of, start_of
+from gns_pl.rollout.folder import alone, prepare
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
 from gns_pl.rollout.reduction import Reduction
@@ -70,8 +70,8 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
     cell_size, check = settings.pop("cell_size"), settings.pop("check")
     for key in ("paper", "way", "report", "reporting"):
         settings.pop(key)
-    chooses = tolerance is not None or explain or way is not None or check or cell_size is not None
-    if ckpt and not chooses and (ckpt in choice["handed"] or is_corrector(ckpt)):
+    chooses = tolerance is not None or explain or way is not None or cell_size is not None
+    if isinstance(ckpt, str) and not chooses and (ckpt in choice["handed"] or is_corrector(ckpt)):
         from gns_pl.rollout.by_choice import way_name
 
         choice["corrected"] = [ckpt] if is_corrector(ckpt) else []
@@ -94,7 +94,7 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
         kept = {key: settings[key] for key in ("out", "duration", "seed", "rest_speed", "stabilise", "device")}
         kept |= {"cell_size": cell_size, "check": check}
         return simulate_by_choice(scenes, tolerance=tolerance, explain=explain, way=way, **choice, **kept)
-    if chooses:
+    if chooses or check:
         raise InputError(
             "ckpt= names the way already; leave it out, and tolerance=, solver=, explain= choose one (cell_size= and "
             "check= are MPM's)."
@@ -303,29 +303,6 @@ def _write(
             stream.close()
     seconds = time.perf_counter() - began
     print(f"{made} steps in {seconds:.1f} s: {made / seconds:.3g} steps/s, {made * dt / seconds:.3g} simulated s/s")
-
-
-def prepare(out: Path, scenes: Sequence[Scene]) -> None:
-    """Make the folder of scenes' files.
-
-    Raises:
-        InputError: two scenes of one name.
-        StorageError: it cannot be made.
-    """
-    names = [scene.name for scene in scenes]
-    if len(set(names)) < len(names):
-        raise InputError(f"two scenes have the same name among {', '.join(names)}, and it names their files.")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{out}: cannot be made ({error.strerror}).") from error
-
-
-@contextmanager
-def alone(out: Path) -> Iterator[None]:
-    """Be the only run that writes into a folder."""
-    with locked(out / ".simulate.lock", on_wait=lambda: print(f"{out}: another run is writing here; waiting for it")):
-        yield
 
 
 def _open(job: Job) -> TrajectoryStream:
