@@ -13,9 +13,9 @@ from gns_pl.errors import told_plainly
 def main(cfg: DictConfig) -> None:
     """Simulate with one config."""
     with told_plainly("simulate.py"):
-        from gns_pl.rollout.simulate import simulate_config
+        from gns_pl.evaluation.simulation import simulate_and_describe
 
-        simulate_config(cfg)
+        simulate_and_describe(cfg)
 
 
 def of_catalogue(arguments: list[str]) -> list[str]:

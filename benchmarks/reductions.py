@@ -41,6 +41,7 @@ from gns_pl.generation.reference import reference_trajectory
 from gns_pl.rollout.by_choice import make_ways
 from gns_pl.rollout.choice import Record
 from gns_pl.rollout.fitted import LearnedWay
+from gns_pl.rollout.measured_range import setup_text
 from gns_pl.rollout.reduction import Reduction, reduce_scene
 from gns_pl.rollout.ways import MPMWay, Way
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict
@@ -180,7 +181,7 @@ def main() -> None:
                     mean = {key: statistics.mean(each[key] for each in found) for key in found[0]}
                     row = Row(
                         way=way.name, kind=kind, scene=scene.name, seconds=seconds, work=way.work(scene),
-                        particles=particles, threads=threads, device=device,
+                        particles=particles, threads=threads, device=device, setup=setup_text(scene),
                         times_faster=reference_seconds / seconds, mean_error=mean["runout_error"],
                         scatter=statistics.pstdev(each["runout_error"] for each in found),
                         **(worst | {"runout": mean["runout"]}),

@@ -110,3 +110,15 @@ def test_the_stored_points_of_finer_runs_are_said_to_be_that(tmp_path: Path) -> 
         [reference] = stored_references(with_data(checkpoint, str(tmp_path / root)), "test").values()
         assert not reference.complete and reference.whole.trajectory is reference.trajectory
         assert reference.trajectory.num_particles == 3**3
+
+
+def test_a_scene_that_sinks_by_its_own_weight_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(references, "reference_trajectory", lambda scene, **_: spreading(scene, 3))
+    checkpoint = Checkpoint(make_simulator(dt=0.02), {**DATA, "mpm": MPM}, {})
+    reference_of(column(), checkpoint, cache=tmp_path, seed=0)
+    assert "compresses" not in capsys.readouterr().out
+    moon = column().replace(gravity=(0, 0, -9810.0))
+    reference_of(moon, checkpoint, cache=tmp_path, seed=0)
+    assert "weight alone compresses 'sand', 0.2 m high, by 66 % of its height" in capsys.readouterr().out

@@ -218,6 +218,16 @@ def test_what_is_coming_is_told(
     assert f"small: 8 trajectories are in {root}." in told
 
 
+def test_sand_that_sinks_by_its_own_weight_is_told_once(
+    faked: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spec = make_spec()
+    soft = spec | {"material": spec["material"] | {"youngs_modulus": 2e4}}
+    generate_dataset(soft, root=tmp_path / "set", num_workers=1)
+    said = capsys.readouterr().err
+    assert said.count("weight alone compresses 'sand'") == 1 and "set its youngs_modulus to" in said
+
+
 def test_two_processes_take_turns(faked: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "set"
     root.mkdir()

@@ -16,6 +16,7 @@ from gns_pl.io import read_trajectory
 from gns_pl.rollout.by_choice import make_ways, simulate_by_choice
 from gns_pl.rollout.choice import RECORDS, Record, choose, kind_of, read_records, table, weigh
 from gns_pl.rollout.fitted import HandedWay, LearnedWay
+from gns_pl.rollout.measured_range import setup_text
 from gns_pl.rollout.ways import MPMWay, characteristic_size
 from gns_pl.scene import FACES, Body, Plane, Scene, Wall, column_collapse
 from tests.conftest import MPM as mpm_settings
@@ -59,8 +60,9 @@ def learned(tmp_path: Path) -> LearnedWay:
 
 
 def record(way: str, kind: str, error: float, seconds: float, work: float = 1e6) -> Record:
-    """A measured run."""
-    return Record(way, kind, "column", error, 0.0, 0.0, 0.0, seconds, work, 100, 1, "somewhere")
+    """A measured run of `column`, between smooth or rough side walls."""
+    setup = setup_text(column(sides=SLIP if kind == "plane" else ROUGH))
+    return Record(way, kind, "column", error, 0.0, 0.0, 0.0, seconds, work, 100, 1, "somewhere", setup=setup)
 
 
 def test_a_scene_like_the_data_is_trusted_in_its_slice(learned: LearnedWay) -> None:
@@ -148,11 +150,12 @@ def test_the_cheapest_that_is_accurate_enough(learned: LearnedWay) -> None:
     for tolerance, name, words in (
         (0.05, "flat", "cheapest of 2"),
         (0.03, "fine", "of 1"),
-        (0.001, "fine", "none meets"),
     ):
         chosen, why = choose(options, tolerance)
         assert chosen.way.name == name and words in why
     assert "30.0 %" in table(options, scene)
+    with pytest.raises(InputError, match=r"tolerance=0\.001: .* the smallest tolerance that can be met is 0\.03 "):
+        choose(options, 0.001)
     twice = [*records, Record(**{**vars(records[3]), "threads": 2, "seconds": 1.0, "runout_error": 0.02})]
     [fine] = [each for each in weigh(scene, ways, twice) if each.way.name == "fine"]
     assert fine.error == 0.03 and fine.seconds == pytest.approx(3.0 if available_cores() == 1 else 1.0)
@@ -170,8 +173,8 @@ def test_the_cheapest_that_is_accurate_enough(learned: LearnedWay) -> None:
 def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     measured = tmp_path / "records.csv"
     measured.write_text(
-        "way,kind,scene,runout_error,curve_error,height_error,profile_error,seconds,work,particles,threads,device\n"
-        "mpm_5,plane,c,0.1,0,0,0,1.0,1000000,100,1,here\n"
+        "way,kind,scene,runout_error,curve_error,height_error,profile_error,seconds,work,particles,threads,device,setup\n"
+        'mpm_5,plane,c,0.1,0,0,0,1.0,1000000,100,1,here,"' + setup_text(column()).replace('"', '""') + '"\n'
     )
     settings = {
         "duration": None,
@@ -195,7 +198,7 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "here, 1 threads" in said
     simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
     assert "is there whole" in capsys.readouterr().out
-    with pytest.raises(InputError, match="of another scene, way, frame interval or seed"):
+    with pytest.raises(InputError, match="of another scene, way, settings, frame interval or seed"):
         simulate_by_choice([column(1.2)], out=out, tolerance=0.2, **settings)
     with pytest.raises(InputError, match="frame interval"):
         simulate_by_choice([column()], out=out, tolerance=0.2, **settings | {"frame_interval": 0.1})

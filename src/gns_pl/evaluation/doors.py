@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gns_pl.errors import InputError
-from gns_pl.pretrained import find_checkpoint, pretrained_names
+from gns_pl.pretrained import find_checkpoint, find_corrector, is_corrector, pretrained_names
+from gns_pl.text import override
 
 
 def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
@@ -18,6 +19,11 @@ def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
     """
     found: dict[str, Path] = {}
     for text in wanted:
+        if is_corrector(text) and find_corrector(text).is_file():
+            raise InputError(
+                f"{text}: corrects coarse MPM and is no learned simulator, so it is not judged here: simulate.py "
+                f"{override('ckpt', text)} runs it, and benchmark.py {override('ckpt', text)} measures it."
+            )
         path = find_checkpoint(text)
         if not path.is_file():
             known = ", ".join(pretrained_names())

@@ -33,8 +33,14 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
         from gns_pl.evaluation.stress.judge import stress_from_settings
 
         return stress_from_settings(settings)
-    if settings["solver"] != "learned":
-        raise InputError("solver=mpm is for the stress suite: python evaluate.py solver=mpm +evaluation=stress")
+    if settings["solver"] not in ("learned", "mpm"):
+        raise InputError(f"solver must be learned or mpm, not {settings['solver']!r}.")
+    if settings["solver"] == "mpm":
+        from gns_pl.evaluation.solver_alone import evaluate_mpm
+
+        return {name: run.trajectory.provenance for name, run in evaluate_mpm(settings).items()}
+    if settings["cell_size"] is not None:
+        raise InputError("cell_size= is that of solver=mpm; a checkpoint is judged against the MPM of its own data.")
     evaluation, wanted = settings["evaluation"], settings["ckpt"]
     if not wanted:
         raise InputError("which checkpoint? Name one: python evaluate.py ckpt=runs/…/last.ckpt")
@@ -152,6 +158,7 @@ def evaluate(
     from gns_pl.evaluation import report
     from gns_pl.evaluation.references import STARTS, reference_of, stored_references
     from gns_pl.frame_simulator import cold_start
+    from gns_pl.rollout.fitted import plane_of
 
     if film not in (None, "mp4", "gif"):
         raise InputError(f"evaluation.film must be mp4, gif or null, not {film!r}.")
@@ -181,15 +188,15 @@ def evaluate(
         interval, data = config.dt, checkpoint.data
         built = build_scenes(columns, scenes, only=only, domain=domain, duration=duration, interval=interval, data=data)
     for key, scene in built.items():
-        if scene.dim != config.dim:
-            raise InputError(
-                f"scene {key!r} has {scene.dim} dimensions, the simulator of {checkpoint_path} {config.dim}."
-            )
         if scene.obstacles:  # said here, before minutes of MPM
             raise InputError(f"scene {key!r} has obstacles, and a learned simulator knows no obstacles yet.")
         frames = stored[key].trajectory.num_frames if key in stored else round(scene.duration / config.dt) + 1
         if frames <= given:
             raise InputError(f"scene {key!r} has {frames} frames, too few to go on from {given} (evaluation.start).")
+        sliced = plane_of(scene, config.dim)
+        if sliced.words:
+            print(f"{key}: judged in two dimensions, {sliced.words}")
+        built[key] = sliced.scene
     make_folder(out)
     move(checkpoint, device, "evaluation.device")
     print(report.describe_start(config.to_dict(), given))

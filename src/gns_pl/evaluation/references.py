@@ -18,6 +18,7 @@ from gns_pl.generation import chosen_every, is_imported, reference_trajectory, t
 from gns_pl.io import MANIFEST_NAME, read_manifest, read_trajectory
 from gns_pl.rollout.fitted import start_of
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import compression_notice
 from gns_pl.text import override
 from gns_pl.trajectory import Trajectory
 
@@ -77,6 +78,9 @@ def reference_of(
     """
     if any(not size > 0 for size in cells):
         raise InputError(f"evaluation.spread: sizes of cells over those of the data must be positive, not {cells}.")
+    notice = compression_notice(scene)
+    if notice is not None:
+        print(f"{notice}.", flush=True)
     interval, mpm = checkpoint.simulator.config.dt, checkpoint.data["mpm"]
 
     def solved(wanted: Scene, seed: int, size: float = 1.0) -> Trajectory:

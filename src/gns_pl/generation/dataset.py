@@ -27,6 +27,7 @@ from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
 from gns_pl.generation.thinning import stored_counts
 from gns_pl.io import SPLITS, Manifest, StorageError, remove_temporary_files, write_manifest
 from gns_pl.io.manifest import MANIFEST_VERSION
+from gns_pl.scene.extent import compression_notice, largest_own_weight_strain
 
 NOTEWORTHY_BYTES = 100_000_000
 """What a process has in memory is told if it is more than this."""
@@ -117,6 +118,10 @@ def _generate(
     failures: dict[str, Failure] = {}
     told = GenerationProgress(dataset.name, work, workers, enabled=progress)
     told.say(_announcement(folder, dataset, jobs, workers))
+    worst = max((job.scene for job in jobs), key=largest_own_weight_strain)
+    notice = compression_notice(worst)
+    if notice is not None:
+        told.say(f"{notice}.")
     _check_space(folder, sum(job.missing_bytes() for job in jobs))
     if work and not on_gpu:  # before the clock starts: every process finds the kernels compiled
         solver.compile_solver(order[-1].scene, dataset.mpm, frame_interval=dataset.frame_interval)

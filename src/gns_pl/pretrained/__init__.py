@@ -10,9 +10,18 @@ ALIASES = {"column-fast": "collapse", "column-fast-plane": "collapse_plane"}
 """What a model is for, as a name → that of its experiment, file and card."""
 
 
+CORRECTOR = ".corrector"
+"""Ending of the files that correct coarse MPM."""
+
+
 def pretrained_names() -> list[str]:
     """Return the names that can stand in the place of a checkpoint's path."""
     return sorted(path.stem for path in FOLDER.glob("*.ckpt"))
+
+
+def corrector_names() -> list[str]:
+    """Return the names that can stand in the place of a corrector's path."""
+    return sorted(path.stem for path in FOLDER.glob(f"*{CORRECTOR}"))
 
 
 def find_checkpoint(path: str | Path) -> Path:
@@ -23,5 +32,10 @@ def find_checkpoint(path: str | Path) -> Path:
 
 def find_corrector(path: str | Path) -> Path:
     """Return the path of a corrector: that of one that comes with the package if its bare name is given."""
-    shipped = FOLDER / f"{path}.corrector"
+    shipped = FOLDER / f"{path}{CORRECTOR}"
     return shipped if shipped.is_file() and not Path(path).exists() else Path(path)
+
+
+def is_corrector(path: str | Path) -> bool:
+    """Return whether a name or a file is a corrector and no checkpoint."""
+    return find_corrector(path).suffix == CORRECTOR

@@ -1,23 +1,25 @@
 """Which way a scene is run: the cheapest that was measured to be accurate enough, the material point method among them.
 
 What a way is worth is a table of measured runs (`benchmark.py` and `benchmarks/reductions.py` write it): errors against
-a fine run, and time. Errors carry over to scenes of the same kind, in plane strain or not; times by the work that a run
-is.
+a fine run, and time. Errors carry over to scenes like those that were measured (`measured_range`), and of others they
+are unmeasured; times carry over by the work that a run is.
 """
 
 from __future__ import annotations
 
 import csv
+import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 
 from gns_pl.errors import InputError
 from gns_pl.generation.pool import available_cores
 from gns_pl.rollout.fitted import FittedWay
+from gns_pl.rollout.measured_range import unmeasured_reasons
 from gns_pl.rollout.reduction import why_not_plane
-from gns_pl.rollout.ways import Way
+from gns_pl.rollout.ways import MPMWay, Way
 from gns_pl.scene import Scene
 
 FINE_ERROR = 0.03
@@ -43,6 +45,7 @@ class Record:
         particles: of the scene that was run.
         threads: of the machine.
         device: on which it was measured.
+        setup: of the scene (`measured_range.setup_text`); empty in tables from before it was written.
     """
 
     way: str
@@ -57,6 +60,7 @@ class Record:
     particles: int
     threads: int
     device: str
+    setup: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -65,16 +69,20 @@ class Option:
 
     Attributes:
         way: the way.
-        error: largest measured error of the runout on scenes of this kind, at least `FINE_ERROR`; None if none was
-            measured.
-        seconds: expected; None likewise.
+        error: expected of the runout: the largest measured on scenes like this one, at least `FINE_ERROR`; None if none
+            was measured on such scenes.
+        seconds: expected; None if it was not measured on scenes of this kind.
         reason: why it cannot be trusted with the scene; None if it can.
+        unmeasured: how the scene differs from all on which the way was measured; None where `error` holds.
+        measured_error: the largest on all scenes of this kind, whether they are like this one or not.
     """
 
     way: Way
     error: float | None
     seconds: float | None
     reason: str | None
+    unmeasured: str | None = None
+    measured_error: float | None = None
 
 
 def kind_of(scene: Scene) -> str:
@@ -93,7 +101,9 @@ def read_records(path: Path) -> list[Record]:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
         types = {"int": int, "float": float, "str": str}
-        return [Record(**{each.name: types[str(each.type)](row[each.name]) for each in fields(Record)}) for row in rows]
+        # A column with a default is missing in older tables.
+        known = [each for each in fields(Record) if each.default is MISSING or (rows and each.name in rows[0])]
+        return [Record(**{each.name: types[str(each.type)](row[each.name]) for each in known}) for row in rows]
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise InputError(f"{path}: is no table of records, as benchmark.py writes ({error}).") from error
 
@@ -110,9 +120,11 @@ def weigh(scene: Scene, ways: Sequence[Way], records: Sequence[Record]) -> list[
     for way in ways:
         reason = way.why_not(scene)
         measured = [each for each in records if each.way == way.name and each.kind == kind]
-        error = seconds = None
+        error = seconds = overall = unmeasured = None
         if measured and reason is None:
-            error = max(FINE_ERROR, *(abs(each.runout_error) for each in measured))
+            overall = max(FINE_ERROR, *(abs(each.runout_error) for each in measured))
+            unmeasured = "; ".join(unmeasured_reasons(scene, (each.setup for each in measured))[:2]) or None
+            error = overall if unmeasured is None else None
             # Errors do not depend on the number of threads. Times are those of as many as there are, or the next fewer.
             numbers = {each.threads for each in measured}
             threads = max((each for each in numbers if each <= available_cores()), default=min(numbers))
@@ -120,23 +132,27 @@ def weigh(scene: Scene, ways: Sequence[Way], records: Sequence[Record]) -> list[
             seconds = way.work(scene) * statistics.median(each.seconds / each.work for each in timed)
         if not measured and reason is None:
             reason = "was not measured on scenes of this kind"
-        options.append(Option(way, error, seconds, reason))
+        options.append(Option(way, error, seconds, reason, unmeasured, overall))
     return sorted(options, key=lambda each: (each.reason is not None, each.seconds or 0.0))
 
 
 def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
-    """Return the cheapest option that meets a tolerance, or else the most accurate, and why in words.
+    """Return the cheapest option that meets a tolerance, and why in words.
+
+    Where the scene is like none that was measured, no error is promised: it is the cheapest MPM that met the tolerance
+    on the scenes that were.
 
     Args:
         options: of `weigh`.
         tolerance: largest error of the final runout, relative.
 
     Raises:
-        InputError: a tolerance that is not positive, or no way that can be trusted at all.
+        InputError: a tolerance that is not positive or below every solver's error, or no way that can be trusted at
+            all.
     """
     if not tolerance > 0:
         raise InputError(f"tolerance must be positive, as 0.05 for 5 % of the runout, not {tolerance}.")
-    trusted = [each for each in options if each.reason is None and each.error is not None and each.seconds is not None]
+    trusted = [each for each in options if each.reason is None and each.seconds is not None]
     if not trusted:
         raise InputError(
             "no way was measured on scenes of this kind; measure it (python benchmark.py) and name the table that this "
@@ -146,36 +162,43 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
     beyond = ""
     if learned and all(each.reason is not None for each in learned):
         beyond = "the scene is beyond everything learned, so the material point method it is: "
-    good = [each for each in trusted if each.error is not None and each.error <= tolerance]
-    if good:
-        chosen = good[0]
-        words = f"the cheapest of {len(good)} that meet {100 * tolerance:g} %"
-    else:
-        chosen = min(trusted, key=lambda each: each.error or 0.0)
-        words = f"none meets {100 * tolerance:g} %, and this is the most accurate"
-    return chosen, f"{beyond}{words}"
+    candidates = [each for each in trusted if each.error is not None]
+    promised = bool(candidates)
+    if not promised:
+        candidates = [each for each in trusted if isinstance(each.way, MPMWay)] or trusted
+    best = min(candidates, key=_measured_error)
+    good = [each for each in candidates if _measured_error(each) <= tolerance]
+    if not good and math.isinf(_measured_error(best)):
+        raise InputError(f"tolerance={tolerance:g}: every solver failed on a scene that was measured; name a solver=.")
+    if not good:
+        least = math.ceil(1e3 * _measured_error(best) - 1e-9) / 1e3
+        where = "on scenes like this one" if promised else "on the scenes that were measured"
+        raise InputError(
+            f"tolerance={tolerance:g}: every solver errs by more {where}; the smallest tolerance that can be met is "
+            f"{least:g} (by {best.way.name})."
+        )
+    if promised:
+        return good[0], f"{beyond}the cheapest of {len(good)} that meet {100 * tolerance:g} %"
+    return good[0], (
+        f"{beyond}the error on this scene is unmeasured ({good[0].unmeasured}); it is the cheapest MPM that met "
+        f"{100 * tolerance:g} % on the scenes that were measured, and check=true compares it with coarser cells"
+    )
 
 
-def named(options: Sequence[Option], name: str) -> Option:
-    """Return the option of a way that is asked for, whether it can be trusted or not.
-
-    Raises:
-        InputError: there is no such way.
-    """
-    found = next((each for each in options if each.way.name == name), None)
-    if found is None:
-        raise InputError(f"way: there is no {name}; there are {', '.join(each.way.name for each in options)}.")
-    return found
+def _measured_error(option: Option) -> float:
+    return math.inf if option.measured_error is None else option.measured_error
 
 
 def table(options: Sequence[Option], scene: Scene) -> str:
     """Return the options as text, one a line."""
-    lines = [f"{'way':24} {'runs as':34} {'error':>7} {'time':>9}"]
+    lines = [f"{'way':24} {'runs as':34} {'error':>10} {'time':>9}"]
     for each in options:
-        if each.reason is not None or each.error is None or each.seconds is None:
+        if each.reason is not None or each.seconds is None:
             lines.append(f"{each.way.name:24} not: {each.reason}")
             continue
         particles, steps = each.way.size(scene)
         how = f"{each.way.reduced(scene).scene.dim}-D, {particles:,} particles, {steps:,} steps"
-        lines.append(f"{each.way.name:24} {how:34} {100 * each.error:5.1f} % {each.seconds:7.2f} s")
-    return "\n".join(lines)
+        error = "unmeasured" if each.error is None else f"{100 * each.error:.1f} %"
+        lines.append(f"{each.way.name:24} {how:34} {error:>10} {each.seconds:7.2f} s")
+    reasons = dict.fromkeys(each.unmeasured for each in options if each.unmeasured is not None)
+    return "\n".join([*lines, *(f"unmeasured: {reason}" for reason in reasons)])

@@ -71,7 +71,8 @@ def history_of(run: Run, config: SimulatorConfig, frames: int = 0) -> Tensor:
     length, start = config.input_sequence_length, run.start
     made = start.position[:1] if run.past is None else run.past[-max(length, frames) :]
     before = ballistic_history(start.position[0], start.initial_velocity, config.dt, length)[:-1]
-    positions = made if len(made) >= length else np.concatenate([before, made])[-length:]
+    # A run that goes on early still looks back before its first frame, as the single run does.
+    positions = np.concatenate([before, made])[-max(length, frames) :]
     missing = np.full((max(0, frames - len(positions)), *made.shape[1:]), np.nan)
     positions = np.concatenate([missing, positions]).astype(np.float32)
     return torch.from_numpy(positions).transpose(0, 1).contiguous()

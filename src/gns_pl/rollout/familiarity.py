@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gns_pl.checkpoint import Checkpoint
 from gns_pl.io import read_header, read_trajectory
 from gns_pl.rollout.engine import static_of
+from gns_pl.rollout.reduction import Reduction
 from gns_pl.rollout.training_range import beyond
 from gns_pl.trajectory import Trajectory, ballistic_history
 
@@ -77,12 +78,20 @@ FRAMES, NUMBERS = 40, 100_000_000
 """Of a run in a file so many frames are looked at, and at none if it holds more coordinates than so many."""
 
 
-def told(checkpoint: Checkpoint, path: Path) -> str | None:
-    """Return the sentence of a run in a file; None if there is nothing to tell, or nothing by which to tell."""
+def told(checkpoint: Checkpoint, path: Path, reduction: Reduction | None = None) -> str | None:
+    """Return the sentence of a run in a file; None if there is nothing to tell, or nothing by which to tell.
+
+    Args:
+        checkpoint: simulator, data and what it saw.
+        path: of the run.
+        reduction: from the scene of the file to the one that was run; None if they are the same.
+    """
     header = read_header(path)
     if checkpoint.seen is None or header.num_frames * header.num_particles * header.dim > NUMBERS:
         return None
-    found = familiarity(checkpoint, read_trajectory(path), every=max(1, header.num_frames // FRAMES))
+    run = read_trajectory(path)
+    run = run if reduction is None else reduction.flatten(run)
+    found = familiarity(checkpoint, run, every=max(1, header.num_frames // FRAMES))
     return None if found is None else found.sentence()
 
 

@@ -53,6 +53,8 @@ class FittedWay:
 
     def why_not(self, scene: Scene) -> str | None:
         """Return what of a scene was not in the data, or None."""
+        if scene.obstacles:
+            return "knows no obstacles"
         if self.dim == 2 and scene.dim == 3:
             reasons = [why_not_plane(scene, axis) for axis in (1, 0)]
             if None not in reasons:
@@ -67,11 +69,9 @@ class FittedWay:
         Raises:
             InputError: it cannot be run at all.
         """
-        if self.dim == 2 and scene.dim == 3:
-            return to_plane(scene, next((axis for axis in (1, 0) if why_not_plane(scene, axis) is None), 1))
-        if self.dim != scene.dim:
-            raise InputError(f"scene {scene.name!r} has {scene.dim} dimensions, what was learned {self.dim}.")
-        return Reduction(scene, lambda trajectory: trajectory, "")
+        if scene.obstacles:
+            raise InputError(f"scene {scene.name!r} has obstacles, and a learned simulator knows no obstacles yet.")
+        return plane_of(scene, self.dim)
 
     def size(self, scene: Scene) -> tuple[int, int]:
         """Return the numbers of particles and of steps."""
@@ -240,6 +240,30 @@ class HandedWay(LearnedWay):
             failed = "failed_at" in past.provenance
             made = past if failed else continued_by_mpm(past, settings, late)
         return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
+
+
+def plane_of(scene: Scene, dim: int) -> Reduction:
+    """Return the scene that a solver of some dimension runs: the slice of one in plane strain, or the scene itself.
+
+    Args:
+        scene: in two or three dimensions.
+        dim: D of the solver.
+
+    Raises:
+        InputError: a scene in three dimensions that is not in plane strain, or one in two for a solver of three.
+    """
+    if dim == 2 and scene.dim == 3:
+        reasons = {axis: why_not_plane(scene, axis) for axis in (1, 0)}
+        axis = next((axis for axis, reason in reasons.items() if reason is None), None)
+        if axis is None:
+            raise InputError(
+                f"scene {scene.name!r} has 3 dimensions and the simulator 2, and it is not in plane strain: "
+                f"{reasons[1]}."
+            )
+        return to_plane(scene, axis)
+    if dim != scene.dim:
+        raise InputError(f"scene {scene.name!r} has {scene.dim} dimensions, the simulator {dim}.")
+    return Reduction(scene, lambda trajectory: trajectory, "")
 
 
 def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mapping[str, object]) -> Trajectory:

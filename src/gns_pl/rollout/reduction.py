@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.scene import FACES, Body, Box, Plane, Scene, Wall
@@ -32,11 +33,41 @@ class Reduction:
         scene: what is to be simulated.
         lift: makes of its trajectory one of the original scene.
         words: what was done and why it may be; empty if nothing was.
+        across: axis that a slice lacks; None if it is none.
     """
 
     scene: Scene
     lift: Callable[[Trajectory], Trajectory]
     words: str
+    across: int | None = None
+
+    def project(self, position: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the positions of one layer of a lifted slice [T, N, 2] [m]; what came in if this is no slice.
+
+        Args:
+            position: of all layers, or of the scene itself [T, M, D] [m].
+        """
+        if self.across is None:
+            return position
+        layers = len(np.unique(position[0, :, self.across]))
+        return np.delete(position[:, ::layers], self.across, axis=2)
+
+    def flatten(self, lifted: Trajectory) -> Trajectory:
+        """Return the slice's trajectory again from the lifted one; what came in if this is no slice."""
+        if self.across is None:
+            return lifted
+        position = self.project(lifted.position)
+        layers = lifted.num_particles // position.shape[1]
+        width = lifted.scene.upper[self.across] - lifted.scene.lower[self.across]
+        return replace(
+            lifted,
+            position=position,
+            particle_type=lifted.particle_type[::layers],
+            material=lifted.material[::layers],
+            mass=lifted.mass[::layers] * np.float32(layers / width),
+            initial_velocity=np.delete(lifted.initial_velocity[::layers], self.across, axis=1),
+            scene=self.scene,
+        )
 
 
 def reduce_scene(scene: Scene) -> Reduction:
@@ -129,7 +160,7 @@ def to_plane(scene: Scene, axis: int = 1) -> Reduction:
         obstacles=tuple(map(sliced, scene.obstacles)),
     )
     words = f"plane strain: smooth walls at {HORIZONTAL[axis]} = const, bodies from wall to wall, nothing moves across"
-    return Reduction(flat, lambda trajectory: _layers(trajectory, scene, axis), words)
+    return Reduction(flat, lambda trajectory: _layers(trajectory, scene, axis), words, axis)
 
 
 def _layers(trajectory: Trajectory, scene: Scene, axis: int) -> Trajectory:

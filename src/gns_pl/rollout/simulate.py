@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,18 +19,19 @@ import gns_pl
 from gns_pl.checkpoint import load_checkpoint, move
 from gns_pl.errors import InputError
 from gns_pl.frame_simulator import cold_start
-from gns_pl.generation.lock import locked
-from gns_pl.io import StorageError, file_sha256, read_window
+from gns_pl.io import file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
-from gns_pl.pretrained import find_checkpoint, pretrained_names
+from gns_pl.pretrained import corrector_names, find_checkpoint, is_corrector, pretrained_names
 from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.familiarity import told
-from gns_pl.rollout.fitted import start_of
+from gns_pl.rollout.fitted import plane_of, start_of
+from gns_pl.rollout.folder import alone, prepare
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
+from gns_pl.rollout.reduction import Reduction
 from gns_pl.rollout.rest import STEPS, Rest
 from gns_pl.rollout.stabilise import stabilise as stabilised
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
@@ -50,12 +51,14 @@ class Job:
         run: what is left to do.
         source: file that holds the frames made before; None if there are none.
         ended: why and when an earlier run of it ended before its time, in words; empty if it did not.
+        reduction: from the scene of the file to the one that is run.
     """
 
     path: Path
     run: Run
     source: Path | None
     ended: str
+    reduction: Reduction
 
 
 def simulate_config(cfg: DictConfig) -> list[Path]:
@@ -64,10 +67,18 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     ckpt, named, tolerance = (settings.pop(key) for key in ("ckpt", "scene", "tolerance"))
-    catalogue, choice, explain, way = (settings.pop(key) for key in ("catalogue", "choice", "explain", "way"))
-    settings.pop("paper")
-    chooses = tolerance is not None or explain or way is not None
-    if not named or not (ckpt or chooses):
+    catalogue, choice, explain, way = (settings.pop(key) for key in ("catalogue", "choice", "explain", "solver"))
+    cell_size, check = settings.pop("cell_size"), settings.pop("check")
+    for key in ("paper", "way", "report", "reporting"):
+        settings.pop(key)
+    chooses = tolerance is not None or explain or way is not None or cell_size is not None
+    if isinstance(ckpt, str) and not chooses and (ckpt in choice["handed"] or is_corrector(ckpt)):
+        from gns_pl.rollout.by_choice import way_name
+
+        choice["corrected"] = [ckpt] if is_corrector(ckpt) else []
+        way = way_name(ckpt)
+        ckpt = None
+    if not named or not (ckpt or way or chooses):
         raise InputError(
             "which scene, and by which way? python simulate.py scene=column_collapse tolerance=0.05, or ckpt=collapse "
             "scene=FILE.yaml"
@@ -75,16 +86,20 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
     settings["out"] = Path(settings["out"])
     checkpoint = find_checkpoint(ckpt) if ckpt else None
     if checkpoint is not None and not checkpoint.is_file():
-        known = ", ".join(pretrained_names())
+        known = ", ".join([*pretrained_names(), *corrector_names(), *choice["handed"]])
         raise InputError(f"{checkpoint}: there is no such checkpoint; those that come with gns_pl are {known}.")
     scenes = [_named_scene(each, catalogue) for each in ([named] if isinstance(named, str) else named)]
     if checkpoint is None:
         from gns_pl.rollout.by_choice import simulate_by_choice
 
-        kept = {key: settings[key] for key in ("out", "duration", "seed", "rest_speed", "stabilise")}
+        kept = {key: settings[key] for key in ("out", "duration", "seed", "rest_speed", "stabilise", "device")}
+        kept |= {"cell_size": cell_size, "check": check}
         return simulate_by_choice(scenes, tolerance=tolerance, explain=explain, way=way, **choice, **kept)
-    if chooses:
-        raise InputError("ckpt= names the way already; leave it out, and tolerance=, way=, explain= choose one.")
+    if chooses or check:
+        raise InputError(
+            "ckpt= names the way already; leave it out, and tolerance=, solver=, explain= choose one (cell_size= and "
+            "check= are MPM's)."
+        )
     return simulate(checkpoint, scenes, **settings)
 
 
@@ -161,9 +176,13 @@ def simulate(
     with processes(fast.velocity_scale.device) as (rank, size), alone(out) if rank == 0 else nullcontext():
         meet()  # so that nobody looks at files another run is still writing
         simulator = stabilised(fast, step=SlabSimulator(fast) if size > 1 else None, **settings)
-        starts = [start_of(scene, checkpoint, seed, identity) for scene in scenes]
+        reductions = [plane_of(scene, simulator.config.dim) for scene in scenes]
+        starts = [start_of(each.scene, checkpoint, seed, identity) for each in reductions]
         length = max(simulator.config.input_sequence_length, STEPS + 1)
-        jobs = [_job(out / f"{start.scene.name}.h5", start, length) for start in starts]
+        jobs = [
+            _job(out / f"{start.scene.name}.h5", start, length, reduction)
+            for start, reduction in zip(starts, reductions, strict=True)
+        ]
         for job in jobs:
             check_run(job.run, simulator.config)
         left = [job for job in jobs if job.run.num_steps or job.source != job.path]
@@ -175,11 +194,14 @@ def simulate(
                 deque(unroll(simulator, [job.run for job in left], rest=rest, watches=watches), maxlen=0)
             return [job.path for job in jobs]
         if left:
-            if cold := cold_start(simulator.config, checkpoint.provenance):
-                print(cold)
+            for job in left:
+                if job.reduction.words:
+                    print(f"{job.run.start.scene.name}: {job.reduction.words}")
+            if notice := cold_start(simulator.config, checkpoint.provenance):
+                print(notice)
             _write(left, simulator, identity, rest, watches)
             for job in left:
-                if sentence := told(checkpoint, job.path):
+                if sentence := told(checkpoint, job.path, job.reduction):
                     print(f"{job.path}: {sentence}; do not trust it without a look at MPM.")
     for job in jobs:
         if job not in left:
@@ -193,17 +215,18 @@ def _watch(run: Run, dt: float) -> Watch:
     return Watch(run.start, dt, before=before, made=run.made, every=10)
 
 
-def _job(path: Path, start: Trajectory, length: int) -> Job:
+def _job(path: Path, start: Trajectory, length: int, reduction: Reduction) -> Job:
     """Return what is to do for a scene, after a look at what is there; a step needs `length` frames of it."""
+    whole = reduction.lift(start)
     wanted = math.ceil(start.scene.duration / start.dt - 1e-6)
     found = find_frames(path)
     if found is None:
-        return Job(path, Run(start, wanted), None, "")
+        return Job(path, Run(start, wanted), None, "", reduction)
     source, header = found
     same = (
         all(header.provenance.get(key) == value for key, value in start.provenance.items())
-        and header.scene.replace(duration=start.scene.duration) == start.scene
-        and np.array_equal(read_window(source, 0, 1), start.position)
+        and header.scene.replace(duration=whole.scene.duration) == whole.scene
+        and np.array_equal(read_window(source, 0, 1), whole.position)
     )
     if not same:
         raise InputError(
@@ -215,8 +238,8 @@ def _job(path: Path, start: Trajectory, length: int) -> Job:
     ended = f"until it came to rest at {rested:g} s" if isinstance(rested, float) else ended
     left = 0 if ended else max(0, wanted - made)
     first = max(0, made + 1 - length)
-    past = read_window(source, first, made + 1 - first)
-    return Job(path, Run(start, left, past, made), source, ended)
+    past = reduction.project(read_window(source, first, made + 1 - first))
+    return Job(path, Run(start, left, past, made), source, ended, reduction)
 
 
 def _write(
@@ -262,7 +285,7 @@ def _write(
                     looking = watches[number]
                     failure = looking.failure if looking else None
                     if number in parts:
-                        streams[number].append(_frame(parts[number]))
+                        streams[number].append(_frame(parts[number], jobs[number]))
                     elif failure is None:
                         when = (jobs[number].run.made + made) * dt
                         failure = Failure("not finite", when, f"positions were no longer finite at {when:.3g} s")
@@ -284,37 +307,15 @@ def _write(
     print(f"{made} steps in {seconds:.1f} s: {made / seconds:.3g} steps/s, {made * dt / seconds:.3g} simulated s/s")
 
 
-def prepare(out: Path, scenes: Sequence[Scene]) -> None:
-    """Make the folder of scenes' files.
-
-    Raises:
-        InputError: two scenes of one name.
-        StorageError: it cannot be made.
-    """
-    names = [scene.name for scene in scenes]
-    if len(set(names)) < len(names):
-        raise InputError(f"two scenes have the same name among {', '.join(names)}, and it names their files.")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{out}: cannot be made ({error.strerror}).") from error
-
-
-@contextmanager
-def alone(out: Path) -> Iterator[None]:
-    """Be the only run that writes into a folder."""
-    with locked(out / ".simulate.lock", on_wait=lambda: print(f"{out}: another run is writing here; waiting for it")):
-        yield
-
-
 def _open(job: Job) -> TrajectoryStream:
+    start = job.reduction.lift(job.run.start)
     if job.source is not None:
-        return go_on(job.path, job.run.start, job.source, job.run.made + 1)
-    stream = TrajectoryStream(job.path, job.run.start)
-    stream.append(job.run.start.position)
+        return go_on(job.path, start, job.source, job.run.made + 1)
+    stream = TrajectoryStream(job.path, start)
+    stream.append(start.position)
     return stream
 
 
-def _frame(position: torch.Tensor) -> NDArray[np.float32]:
+def _frame(position: torch.Tensor, job: Job) -> NDArray[np.float32]:
     frame: NDArray[np.float32] = position.cpu().numpy()[None]
-    return frame
+    return job.reduction.lift(replace(job.run.start, position=frame)).position if job.reduction.words else frame

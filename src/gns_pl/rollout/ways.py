@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from gns_pl.generation import solver
@@ -52,10 +52,11 @@ class MPMWay:
 
     Attributes:
         name: of the way.
-        cells: over √(L0 H0).
+        cells: over √(L0 H0); of no account with `cell_size`.
         settings: of the solver but for the cells, as in conf/data/.
         reduces: take slices and halves where they hold.
         device: "cpu" or "cuda".
+        cell_size: edge of a cell [m]; None takes `cells`.
     """
 
     name: str
@@ -63,6 +64,7 @@ class MPMWay:
     settings: Mapping[str, Any]
     reduces: bool = True
     device: str = "cpu"
+    cell_size: float | None = None
 
     def why_not(self, scene: Scene) -> str | None:
         """Return None: it knows every scene."""
@@ -72,9 +74,15 @@ class MPMWay:
         """Return the scene's slice, half, or the scene itself."""
         return reduce_scene(scene) if self.reduces else Reduction(scene, lambda trajectory: trajectory, "")
 
+    def coarser(self, factor: float) -> MPMWay:
+        """Return the same on cells so many times as large."""
+        size = None if self.cell_size is None else self.cell_size * factor
+        return replace(self, name=f"{self.name}_coarser", cells=self.cells / factor, cell_size=size)
+
     def settings_of(self, scene: Scene) -> dict[str, Any]:
         """Return the solver's settings for a scene."""
-        return {**self.settings, "cell_size": characteristic_size(scene) / self.cells}
+        size = self.cell_size or characteristic_size(scene) / self.cells
+        return {**self.settings, "cell_size": size}
 
     def size(self, scene: Scene) -> tuple[int, int]:
         """Return the number of points and about that of steps."""

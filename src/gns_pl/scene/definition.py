@@ -65,11 +65,15 @@ class Material:
         return math.tan(math.radians(self.friction_angle_deg))
 
     @property
-    def p_wave_speed(self) -> float:
-        """Speed of elastic compression waves √(M/ρ) [m/s], with M = E (1 − ν) / ((1 + ν)(1 − 2 ν))."""
+    def oedometric_modulus(self) -> float:
+        """Stiffness against compression that cannot spread sideways, M = E (1 − ν) / ((1 + ν)(1 − 2 ν)) [Pa]."""
         nu = self.poisson_ratio
-        modulus = self.youngs_modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
-        return math.sqrt(modulus / self.density)
+        return self.youngs_modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
+
+    @property
+    def p_wave_speed(self) -> float:
+        """Speed of elastic compression waves √(M/ρ) [m/s], with M the oedometric modulus."""
+        return math.sqrt(self.oedometric_modulus / self.density)
 
 
 @dataclass(frozen=True)

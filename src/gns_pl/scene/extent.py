@@ -1,11 +1,11 @@
-"""The scales of a scene: how long and how high its bodies are together, and how long a collapse of them takes."""
+"""The scales of a scene: its bodies' length and height, the time of a collapse, and compression by own weight."""
 
 from __future__ import annotations
 
 import math
 
 from gns_pl.errors import InputError
-from gns_pl.scene.definition import Scene
+from gns_pl.scene.definition import Body, Scene
 
 
 def initial_extent(scene: Scene) -> tuple[float, float]:
@@ -30,3 +30,57 @@ def characteristic_time(scene: Scene) -> float:
     if gravity == 0:
         raise InputError(f"scene {scene.name!r}: it has no gravity, so a collapse has no characteristic time.")
     return math.sqrt(initial_extent(scene)[1] / gravity)
+
+
+COMPRESSION_LIMIT = 0.02
+"""From this elastic strain by own weight on, a solver's user is told that the stiffness is too low for the height."""
+
+
+def own_weight_strain(scene: Scene, number: int) -> float:
+    """Return by what part of its height a body is compressed by its own weight and by what stands above it.
+
+    ε = (q + ρ g h / 2) / M: the mean vertical strain of an elastic layer of height h that cannot spread sideways, with
+    M the oedometric modulus and q = Σ ρ g h the weight per area of the bodies above. For one body, ε = ρ g H / (2 M).
+
+    Args:
+        scene: the bodies, their materials and gravity, of which the vertical component counts.
+        number: index of the body.
+    """
+    gravity, body = abs(scene.gravity[-1]), scene.bodies[number]
+
+    def weight(other: Body) -> float:
+        return scene.materials[other.material].density * gravity * other.size[-1]
+
+    def stands_above(other: Body) -> bool:
+        overlaps = all(
+            low < other_high and other_low < high
+            for low, high, other_low, other_high in zip(
+                body.position[:-1], body.upper[:-1], other.position[:-1], other.upper[:-1], strict=True
+            )
+        )
+        return overlaps and other.position[-1] >= body.upper[-1] - 1e-9 * body.size[-1]
+
+    load = sum(weight(other) for other in scene.bodies if stands_above(other))
+    return (load + weight(body) / 2) / scene.materials[body.material].oedometric_modulus
+
+
+def largest_own_weight_strain(scene: Scene) -> float:
+    """Return the `own_weight_strain` of the body that is compressed most."""
+    return max(own_weight_strain(scene, number) for number in range(len(scene.bodies)))
+
+
+def compression_notice(scene: Scene) -> str | None:
+    """Return one sentence about a body that its weight compresses by more than `COMPRESSION_LIMIT`, None if none is."""
+    strains = [own_weight_strain(scene, number) for number in range(len(scene.bodies))]
+    strain = max(strains)
+    if strain <= COMPRESSION_LIMIT:
+        return None
+    body = scene.bodies[strains.index(strain)]
+    modulus = scene.materials[body.material].youngs_modulus * strain / COMPRESSION_LIMIT
+    step = 10.0 ** (math.floor(math.log10(modulus)) - 1)
+    return (
+        f"scene {scene.name!r}: weight alone compresses {body.material!r}, {body.size[-1]:.3g} m high, by "
+        f"{100 * strain:.2g} % of its height (ρ g H / (2 M), with what stands on it), so its heights and runouts "
+        f"are off; set its youngs_modulus to {math.ceil(modulus / step - 1e-9) * step:.2g} Pa or more for "
+        f"{100 * COMPRESSION_LIMIT:g} %"
+    )

@@ -13,10 +13,13 @@ from gns_pl.errors import InputError
 from gns_pl.evaluation.chart import measure, speed
 from gns_pl.evaluation.chart.benchmark import chart, finish
 from gns_pl.evaluation.chart.converged import converged, errors_of, uncertainty_of
+from gns_pl.evaluation.chart.entries import make_entries
 from gns_pl.evaluation.chart.records import records_of, write_records
 from gns_pl.evaluation.chart.rows import Tables
+from gns_pl.pretrained import find_corrector
 from gns_pl.rollout.by_choice import make_ways, simulate_by_choice
 from gns_pl.rollout.choice import choose, read_records, weigh
+from gns_pl.rollout.measured_range import setup_text
 from gns_pl.scene import Scene
 from tests.conftest import MPM as SETTINGS
 from tests.conftest import make_simulator
@@ -195,7 +198,7 @@ def test_the_uncertainty_is_the_largest_of_its_estimates() -> None:
 
 
 def test_records_take_the_place_of_those_of_the_same_way(tmp_path: Path) -> None:
-    new = records_of(folder(tmp_path).runs)
+    new = records_of(folder(tmp_path).runs, dict.fromkeys(("low fine", "high fine"), setup_text(column())))
     worst = next(each for each in new if (each.way, each.scene) == ("mpm_5", "low"))
     assert worst.runout_error == pytest.approx(-0.44) and worst.seconds == 0.1 and worst.device == "a machine"
     path = tmp_path / "deep" / "records.csv"
@@ -211,3 +214,14 @@ def test_records_take_the_place_of_those_of_the_same_way(tmp_path: Path) -> None
     (tmp_path / "other.csv").write_text("way,kind\na,b\n")
     with pytest.raises(InputError, match="is no table of"):
         write_records(tmp_path / "other.csv", new)
+
+
+def test_a_corrector_is_named_like_a_checkpoint(flat: Path, tmp_path: Path) -> None:
+    """`benchmark.py ckpt=[…]` takes what ships, once, and correctors of one's own."""
+    mine = tmp_path / "mine.corrector"
+    mine.write_bytes(find_corrector("corrected_plane").read_bytes())
+    choice = CHOICE | {"corrected": ["corrected_plane"]}
+    ckpt = ["corrected_plane", str(flat), str(mine)]
+    entries = make_entries(ckpt, choice, {}, 3.0, {}, "cpu", "cpu")
+    groups = {each.name: each.group for each in entries if each.group in ("learned", "corrected")}
+    assert groups == {"corrected_plane": "corrected", "mine": "corrected", "flat": "learned"}

@@ -27,6 +27,7 @@ def benchmark_config(cfg: DictConfig) -> list[Path]:
     from omegaconf import OmegaConf
 
     from gns_pl.evaluation.doors import check_figures, named_checkpoints
+    from gns_pl.pretrained import is_corrector
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     check_figures(without=".")
@@ -39,8 +40,9 @@ def benchmark_config(cfg: DictConfig) -> list[Path]:
         return finish(Path(out), logger=logger, **given)
     ckpt = settings["ckpt"] or []
     settings["ckpt"] = [ckpt] if isinstance(ckpt, str) else ckpt
-    if settings["ckpt"]:
-        named_checkpoints(settings["ckpt"])  # refuses one that is not there before anything heavy is imported
+    learned = [each for each in settings["ckpt"] if not is_corrector(each)]
+    if learned:
+        named_checkpoints(learned)  # refuses one that is not there before anything heavy is imported
     for key in ("placements", "threads"):
         value = settings[key]
         if not (key == "threads" and value is None) and (not isinstance(value, int) or value < 1):
@@ -122,7 +124,8 @@ def finish(
 
     made = draw(plan, tables, out, logger=logger)
     ways = {each.name for each in plan.entries if each.for_choice}
-    found = records_of(row for row in plan.runs(tables.runs) if row.name in ways)
+    setups = {each.judged: each.setup for each in plan.scenes}
+    found = records_of((row for row in plan.runs(tables.runs) if row.name in ways), setups)
     for path in (out / RECORDS, *([Path(records)] if records else [])):
         number = write_records(path, found)
         print(f"{path}: {number} records; python simulate.py … tolerance=… choice.records={path} goes by them")

@@ -18,6 +18,7 @@ from gns_pl.evaluation.chart.plan import SceneFacts
 from gns_pl.evaluation.curves import compute_curves
 from gns_pl.evaluation.measures import Floats, deposit_profile, particle_spacing
 from gns_pl.generation import reference_trajectory
+from gns_pl.rollout.measured_range import setup_text
 from gns_pl.rollout.reduction import reduce_scene
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import initial_extent
@@ -96,6 +97,7 @@ class Converged:
             duration=(self.num_frames - 1) * self.interval,
             interval=self.interval,
             words=self.words,
+            setup=setup_text(self.scene),
         )
 
 

@@ -14,7 +14,7 @@ from gns_pl.evaluation.chart.converged import Converged, hashed
 from gns_pl.evaluation.doors import named_checkpoints
 from gns_pl.generation.solver import solver_version
 from gns_pl.io import file_sha256
-from gns_pl.pretrained import find_checkpoint, find_corrector
+from gns_pl.pretrained import find_checkpoint, find_corrector, is_corrector
 from gns_pl.rollout.by_choice import make_ways, way_name
 from gns_pl.rollout.fitted import CorrectedWay, HandedWay, LearnedWay
 from gns_pl.rollout.ways import MPMWay, Way
@@ -73,7 +73,7 @@ def make_entries(
     """Return all settings, MPM's first.
 
     Args:
-        ckpt: checkpoints besides those of the choice.
+        ckpt: checkpoints and correctors besides those of the choice.
         choice: the ways of `simulate.py`, conf/choice.
         variants: more settings of MPM, as `solver_ways`.
         trivial: cells per √(L0 H0) whose particles the trivial baselines move.
@@ -85,8 +85,10 @@ def make_entries(
         InputError: a checkpoint that is not there, two settings of one name, or settings that make none.
     """
     there = [find_checkpoint(each) for each in choice["learned"]]
-    given = [path for path in dict.fromkeys(named_checkpoints(ckpt).values()) if path not in there]
-    trained = (choice["learned"], choice["corrected"], choice["handed"])
+    checkpoints = [each for each in ckpt if not is_corrector(each)]
+    given = [path for path in dict.fromkeys(named_checkpoints(checkpoints).values()) if path not in there]
+    corrected = {find_corrector(each): each for each in [*choice["corrected"], *filter(is_corrector, ckpt)][::-1]}
+    trained = (choice["learned"], list(corrected.values())[::-1], choice["handed"])
     ways = make_ways(*trained, choice["cells"], choice["mpm"], stabilise=stabilise)
     entries: list[Entry] = []
     solvers = [way for way in ways if isinstance(way, MPMWay)]

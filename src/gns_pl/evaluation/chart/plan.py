@@ -56,6 +56,8 @@ class SceneFacts:
         duration: simulated [s].
         interval: time between frames [s].
         words: how the reference was made.
+        setup: what its errors hold for (`rollout.measured_range.setup_text`); empty in plans from before it was
+            written.
     """
 
     name: str
@@ -67,6 +69,7 @@ class SceneFacts:
     duration: float
     interval: float
     words: str
+    setup: str = ""
 
 
 @dataclass(frozen=True)

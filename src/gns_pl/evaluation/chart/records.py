@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from gns_pl.evaluation.chart.rows import RunRow, rendered
@@ -11,11 +11,12 @@ from gns_pl.io.atomic import write_atomically
 from gns_pl.rollout.choice import Record, read_records
 
 
-def records_of(rows: Iterable[RunRow]) -> list[Record]:
+def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) -> list[Record]:
     """Return one record for every way, scene, machine and number of threads: the largest errors, the median time.
 
     Args:
         rows: runs; those that failed count as infinitely wrong.
+        setups: hash of scene, frames and reference (`RunRow.judged`) → setup of the scene, for which errors hold.
     """
     groups: dict[tuple[str, str, str, int, str], list[RunRow]] = {}
     for row in rows:
@@ -34,6 +35,7 @@ def records_of(rows: Iterable[RunRow]) -> list[Record]:
             particles=found[0].particles,
             threads=threads,
             device=machine,
+            setup=(setups or {}).get(found[0].judged, ""),
         )
         for (name, kind, scene, threads, machine), found in groups.items()
     ]
