@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gns_pl.errors import InputError
-from gns_pl.pretrained import find_checkpoint, pretrained_names
+from gns_pl.pretrained import existing_checkpoint
 
 
 def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
@@ -18,10 +18,7 @@ def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
     """
     found: dict[str, Path] = {}
     for text in wanted:
-        path = find_checkpoint(text)
-        if not path.is_file():
-            known = ", ".join(pretrained_names())
-            raise InputError(f"{path}: there is no such checkpoint; those that come with gns_pl are {known}.")
+        path = existing_checkpoint(text)
         name = path.stem if path != Path(text) or not path.parent.name else path.parent.name
         if name in found and found[name] != path:
             name = f"{name}_{path.stem}"

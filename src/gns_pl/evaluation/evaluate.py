@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from gns_pl.checkpoint import Checkpoint
 
 
-def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
+def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, Any]]:
     """Evaluate as a Hydra config says (conf/evaluate.yaml); what can be refused is refused before anything heavy.
+
+    Args:
+        cfg: the config.
+        label: what tells this job from the others of a sweep, a folder in that of the evaluation; "" for none.
 
     Returns:
         Name of every checkpoint → the content of its metrics.json.
@@ -30,7 +34,7 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
     if "stress" in settings["evaluation"]:
         from gns_pl.evaluation.stress.judge import stress_from_settings
 
-        return stress_from_settings(settings)
+        return stress_from_settings(settings, label)
     if settings["solver"] != "learned":
         raise InputError("solver=mpm is for the stress suite: python evaluate.py solver=mpm +evaluation=stress")
     evaluation, wanted = settings["evaluation"], settings["ckpt"]
@@ -43,7 +47,7 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
         check_space(film=bool(evaluation["film"]))
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
-    out = Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)
+    out = (Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)) / label
     kept = {"cache": Path(settings["cache"]), "stabilise": settings["stabilise"]}
     return evaluate_all(checkpoints, out=out, logger=logger, **kept, **evaluation)
 

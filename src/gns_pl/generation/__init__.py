@@ -9,7 +9,7 @@ the solver is imported only when there is something to simulate.
 from gns_pl.generation.dataset import generate_dataset
 from gns_pl.generation.reference import reference_trajectory
 from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
-from gns_pl.generation.stored import find_dataset, is_imported, named_folder, resolved_data
+from gns_pl.generation.stored import find_dataset, is_dataset, is_imported, resolved_data
 from gns_pl.generation.thinning import thin_trajectory
 
 __all__ = [
@@ -19,8 +19,8 @@ __all__ = [
     "draw_plan",
     "find_dataset",
     "generate_dataset",
+    "is_dataset",
     "is_imported",
-    "named_folder",
     "reference_trajectory",
     "resolved_data",
     "thin_trajectory",

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gns_pl.errors import InputError
+from gns_pl.text import did_you_mean
+
 FOLDER = Path(__file__).parent
 
 ALIASES = {"column-fast": "collapse", "column-fast-plane": "collapse_plane"}
@@ -25,3 +28,23 @@ def find_corrector(path: str | Path) -> Path:
     """Return the path of a corrector: that of one that comes with the package if its bare name is given."""
     shipped = FOLDER / f"{path}.corrector"
     return shipped if shipped.is_file() and not Path(path).exists() else Path(path)
+
+
+def existing_checkpoint(path: str | Path) -> Path:
+    """Return the path of a checkpoint that is there.
+
+    Args:
+        path: as of `find_checkpoint`.
+
+    Raises:
+        InputError: there is none; names that may have been meant, and those that come with the package, are told.
+    """
+    found = find_checkpoint(path)
+    if found.is_file():
+        return found
+    known = sorted([*pretrained_names(), *ALIASES])
+    beside = [str(each) for each in sorted(found.parent.glob("*.ckpt"))] if found.parent.name else []
+    raise InputError(
+        f"{path}: there is no such checkpoint{did_you_mean(str(path), [*known, *beside])}; "
+        f"those that come with gns_pl are {', '.join(known)}."
+    )

@@ -1,0 +1,163 @@
+"""The keys and the kinds of values that a config may have: those of the command's own files in conf/.
+
+Hydra takes `+key=value` for any key, and any value for a key. A config is therefore compared with the one that the
+chosen options of its groups give, without what was typed and without experiments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from hydra import compose
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from gns_pl.errors import InputError
+from gns_pl.text import did_you_mean
+
+OPEN = (
+    *("data.families", "data.walls", "data.mpm", "data.material", "data.store_every", "data.every", "data.root"),
+    *("logger", "callbacks", "trainer", "model", "changes", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
+    *("evaluation.stress.variants", "evaluation.stress.sand", "choice.handed", "choice.mpm", "costs", "variants"),
+    *("side_walls", "wall", "material", "types", "sand", "paper", "mpm"),
+)
+"""Where keys may be added, left out and be null; what reads them checks them."""
+
+EMPTY = ("stabilise", "acceleration", "ckpt", "batches.sizes", "evaluation.spread", "evaluation.snapshots")
+"""Lists and mappings that may be null."""
+
+KINDS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("tolerance", "duration", "dt", "scale", "spacing"), ("number",)),
+    **dict.fromkeys(("threads", "num_workers", "training.num_train", "training.optimisation.huber_delta"), ("number",)),
+    **dict.fromkeys(("gravity_axis",), ("text", "number")),
+    **dict.fromkeys(("ckpt", "scene", "evaluation.scenes", "evaluation.only", "evaluation.stress.only"), ("text", "list")),
+    **dict.fromkeys(("evaluation.stress.axes",), ("text", "list")),
+    **dict.fromkeys(("lower", "upper", "evaluation.stress.shown", "model.material_features"), ("list",)),
+    **dict.fromkeys(("types",), ("mapping",)),
+    **dict.fromkeys(("way", "out", "choice.records", "records", "publish", "source", "target", "deck"), ("text",)),
+    **dict.fromkeys(("weights.metadata", "weights.data", "weights.edge_update", "training.distil_from"), ("text",)),
+    **dict.fromkeys(("evaluation.split", "evaluation.film", "data.root", "resume", "evaluation.stress.label"), ("text",)),
+    **dict.fromkeys(("name", "description"), ("text", "number")),
+}
+"""Kinds of values of keys that are null unless somebody sets them, and of words that may look like a number."""
+
+WORDS = {
+    "flag": "true or false",
+    "number": "a number",
+    "text": "text",
+    "list": "a list, as [a,b]",
+    "mapping": "a mapping of names to values, as {a:1}",
+    "null": "null",
+}
+
+
+def check_known(cfg: DictConfig) -> None:
+    """Raise an `InputError` for a key that the command does not have or lacks, and for a value of another kind.
+
+    Args:
+        cfg: the config of the job that is running.
+    """
+    hydra = HydraConfig.get()
+    if not GlobalHydra.instance().is_initialized():  # a worker process, whose config the first process has checked
+        return
+    base = compose(str(hydra.job.config_name), list(base_overrides(hydra.runtime.choices, hydra.overrides.hydra)))
+    for key in cfg:
+        if key not in base:
+            raise unknown_key(str(key), base)
+    for key in base:
+        if key not in cfg and key not in OPEN:
+            raise InputError(f"{key}: it cannot be left out.")
+        if key in cfg:
+            check_value(str(key), plain(cfg, str(key)), plain(base, str(key)), base)
+
+
+def base_overrides(choices: Mapping[str, Any], hydra: list[str]) -> Iterator[str]:
+    """Return the overrides that give the config of a command without what was typed and without experiments."""
+    for group, option in choices.items():
+        if "@" not in group and not group.startswith("hydra/") and group not in ("experiment", "sweep"):
+            if isinstance(option, str):
+                yield f"{group}={option}"
+    yield from (each for each in hydra if each.lstrip("+").startswith("hydra.searchpath"))
+
+
+def plain(cfg: DictConfig, key: str) -> Any:
+    """Return a part of a config as plain values, with what it refers to."""
+    value = cfg[key]
+    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+
+
+def check_value(key: str, value: Any, usual: Any, base: DictConfig) -> None:
+    """Raise an `InputError` unless a value is of the kind of the usual one, with its keys; they are followed inwards."""
+    is_open = any(key == each or key.startswith(f"{each}.") for each in OPEN)
+    kinds = KINDS.get(key, () if usual is None else (kind_of(usual),))
+    if usual is None or is_open or key in EMPTY:
+        kinds = (*kinds, "null") if kinds else ()
+    if kinds and kind_of(value) not in kinds:
+        raise InputError(f"{key} must be {' or '.join(WORDS[kind] for kind in kinds)}, not {shown(value)}.")
+    if isinstance(usual, Mapping) and isinstance(value, Mapping):
+        for name in value:
+            if name in usual:
+                check_value(f"{key}.{name}", value[name], usual[name], base)
+            elif not is_open and f"{key}.{name}" not in OPEN:
+                raise unknown_key(f"{key}.{name}", base)
+        for name in usual:
+            if name not in value and not is_open and f"{key}.{name}" not in OPEN:
+                raise InputError(f"{key}.{name}: it cannot be left out.")
+    if isinstance(usual, list) and isinstance(value, list) and usual and not isinstance(usual[0], Mapping):
+        for each in value:
+            if kind_of(each) != kind_of(usual[0]):
+                raise InputError(
+                    f"{key} must be a list of {WORDS[kind_of(usual[0])].removeprefix('a ')}s, not {shown(value)}."
+                )
+
+
+def kind_of(value: Any) -> str:
+    """Return the kind of a plain value, one of `WORDS`."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "flag"
+    for kind, types in (("number", (int, float)), ("text", str), ("mapping", Mapping), ("list", list)):
+        if isinstance(value, types):  # type: ignore[arg-type]
+            return kind
+    return type(value).__name__
+
+
+def shown(value: Any) -> str:
+    """Return a value as it is typed."""
+    return {None: "null", True: "true", False: "false"}.get(value, repr(value)) if kind_of(value) in (
+        "null",
+        "flag",
+    ) else repr(value)
+
+
+def unknown_key(key: str, base: DictConfig) -> InputError:
+    """Return the error for a key that a command does not have, with the one that may have been meant."""
+    meant = did_you_mean(key, all_keys(base), dotted=True)
+    return InputError(f"there is no key {key}{f'{meant}.' if meant else _siblings(key, base)}")
+
+
+def all_keys(base: DictConfig) -> list[str]:
+    """Return all keys of a config that a user can type, dotted."""
+
+    def walk(value: Any, prefix: str) -> Iterator[str]:
+        for name in value:
+            key = f"{prefix}{name}"
+            yield key
+            inner = OmegaConf.to_container(value, resolve=False)[name] if OmegaConf.is_config(value) else value[name]
+            if isinstance(inner, Mapping):
+                yield from walk(inner, f"{key}.")
+
+    keys = dict.fromkeys(walk(base, ""))
+    scenes = [key.split(".", 2)[2] for key in keys if key.startswith("catalogue.") and key.count(".") > 1]
+    typed = [key for key in keys if key.split(".")[0] not in ("changes", "catalogue", "hydra", "paper", "sand")]
+    return [*typed, *(f"scene.{key}" for key in scenes)]
+
+
+def _siblings(key: str, base: DictConfig) -> str:
+    owner, _, _ = key.rpartition(".")
+    depth = key.count(".")
+    near = [each for each in all_keys(base) if each.count(".") == depth and each.startswith(f"{owner}." if owner else "")]
+    return f"; there are {', '.join(each.rpartition('.')[2] for each in near)}." if near else "."
