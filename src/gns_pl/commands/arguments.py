@@ -13,6 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import yaml
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from gns_pl.generation.stored import OPTION, is_dataset
 from gns_pl.scene.changes import encoded
@@ -24,7 +25,7 @@ LISTS = ("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.correct
 NAMES = (
     *("resume", "data.root", "training.distil_from", "out", "cache", "source", "target", "deck", "records", "publish"),
     *("weights.metadata", "weights.data", "choice.records", "choice.handed.*.learned", "hydra.run.dir"),
-    *("hydra.sweep.dir", "hydra.sweep.subdir", "logger.*.save_dir", "name", "description", "weights.description"),
+    *("hydra.sweep.dir", "hydra.sweep.subdir", "logger.*.save_dir", "name", "description", "weights.description", "evaluation.stress.label"),
 )
 """Keys whose value is the name of one file or folder, or words of the user's own."""
 
@@ -105,38 +106,38 @@ def value_of(text: str, *, listed: bool, sweeping: bool) -> str:
     if listed and text.startswith("[") and text.endswith("]"):
         inner = text[1:-1]
         elements = parts_of(inner) if inner.strip() else []
-        return f"[{','.join(value_of(each.strip(), listed=False, sweeping=False) for each in elements)}]"
+        elements = [each if exists(each) else each.strip() for each in elements]
+        return f"[{','.join(value_of(each, listed=False, sweeping=False) for each in elements)}]"
     plain = re.sub(r"\\([\\()\[\]{}:=, ])", r"\1", text)  # escaped by hand, as Hydra's own documentation has it
     if plain != text and exists(plain):
         return quoted_value(plain)
-    if text.startswith("~"):
-        try:
-            text = str(Path(text).expanduser())
-        except RuntimeError:
-            pass  # nobody's home: a name that begins so
-    return quoted_value(text, interpolated=True)
+    return quoted_value(_expanded(text), interpolated=True)
 
 
 def parts_of(text: str) -> list[str]:
     """Return what commas part, outside quotes and brackets; a comma in the name of a file that is there parts nothing."""
-    pieces, start, depth, place = [], 0, 0, 0
-    while place < len(text):
-        quoted = QUOTED.match(text, place) if not text[start:place].strip() else None
+    parts, start = [], 0
+    while start <= len(text):
+        commas = [found.start() for found in re.finditer(",", text) if found.start() >= start]
+        end = next((end for end in (len(text), *reversed(commas)) if exists(text[start:end])), None)
+        if end is None:
+            end = _end_of_part(text, start)
+        parts.append(text[start:end])
+        start = end + 1
+    return parts
+
+
+def _end_of_part(text: str, start: int) -> int:
+    """Return where the next comma outside quotes and brackets is, or the text ends."""
+    depth, place = 0, start
+    while place < len(text) and not (text[place] == "," and depth <= 0):
+        quoted = None if text[start:place].strip() else QUOTED.match(text, place)
         if quoted:
             place = quoted.end()
             continue
         depth += (text[place] in "[({") - (text[place] in "])}")
-        if text[place] == "," and depth <= 0:
-            pieces.append(text[start:place])
-            start, depth = place + 1, 0
         place += 1
-    pieces.append(text[start:])
-    parts: list[str] = []
-    while pieces:
-        number = next((n for n in range(len(pieces), 1, -1) if exists(",".join(pieces[:n]))), 1)
-        parts.append(",".join(pieces[:number]))
-        del pieces[:number]
-    return parts
+    return place
 
 
 def exists(text: str) -> bool:
@@ -151,10 +152,20 @@ def _named_folders(text: str, sweeping: bool) -> str | None:
     """Return data sets by their folders in Hydra's grammar, None if a config is named."""
     if is_dataset(text):
         return quoted_value(text.rstrip("/") or text)
-    plain = text[1:-1] if QUOTED.fullmatch(text) else str(Path(text).expanduser()) if text.startswith("~/") else text
-    if plain != text and is_dataset(plain):
-        return quoted_value(plain)
     parts = parts_of(text)
-    if sweeping and len(parts) > 1 and all(is_dataset(part) for part in parts):
-        return ",".join(quoted_value(part) for part in parts)
-    return None
+    if sweeping and len(parts) > 1:
+        folders = [_named_folders(part, False) for part in parts]
+        return ",".join(filter(None, folders)) if all(folders) else None
+    if QUOTED.fullmatch(text):
+        plain = str(OverridesParser.create().parse_override(f"data={text}").value()).replace("\\${", "${")
+    else:
+        plain = _expanded(text)
+    return quoted_value(plain) if plain != text and is_dataset(plain) else None
+
+
+def _expanded(text: str) -> str:
+    """Return a name with a `~` at its beginning as the home it stands for."""
+    try:
+        return str(Path(text).expanduser()) if text.startswith("~") else text
+    except RuntimeError:  # nobody's home: a name that begins so
+        return text

@@ -79,8 +79,8 @@ def _missing_option(error: MissingConfigException, config: Path) -> str:
     known = options(config, group)
     if not option or not known:
         return str(error).splitlines()[0]
-    folder = ", and no folder of a data set," if group == "data" else ""
-    return f"{group}={option}: there is no such option{folder}{did_you_mean(option, known)}; there are {', '.join(known)}."
+    what = "no such option, and no folder of a data set" if group == "data" else "no such option"
+    return f"{group}={option}: there is {what}{did_you_mean(option, known)}; options are {', '.join(known)}."
 
 
 def _usual(config: Path, arguments: Sequence[str]) -> DictConfig:

@@ -104,6 +104,10 @@ def _named_scene(name: Any, catalogue: Mapping[str, Any], changes: Mapping[str, 
         raise InputError(f"scene: a file or a name is needed, not {name!r}.")
     if name in catalogue:
         parts = changed(catalogue[name], changes, name)
+        unknown = [key for key in parts if key not in (*catalogue[name], "name")]
+        if unknown:
+            meant, known = did_you_mean(unknown[0], catalogue[name]), ", ".join(catalogue[name])
+            raise InputError(f"scene.{unknown[0]}: {name} has no such key{meant}; there are {known}.")
         scene = _column(parts, str(parts.get("name", name)))
     elif Path(name).exists():
         scene = read_scene(Path(name), changes)
