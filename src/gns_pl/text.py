@@ -52,7 +52,7 @@ def override(key: str, value: str | Path) -> str:
 def file_label(*changes: str) -> str:
     """Return what was changed, as a part of a file's name; what would be too long is cut and ends in a hash."""
     text = "_".join(changes)
-    label = re.sub(r"[^\w.+-]+", "_", text).strip("_")
+    label = re.sub(r"_*[^\w.+-]+_*", "_", text).strip("_")
     if len(label.encode()) > LONGEST_LABEL:
         label = f"{label.encode()[:LONGEST_LABEL].decode(errors='ignore')}_{sha256(text.encode()).hexdigest()[:8]}"
     return label

@@ -1,4 +1,4 @@
-"""What a shell hands over becomes what Hydra's grammar reads as it was meant, for every name that a file system takes."""
+"""What a shell hands over becomes what Hydra's grammar reads as it was meant, for every name of a file."""
 
 from __future__ import annotations
 

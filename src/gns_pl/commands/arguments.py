@@ -25,7 +25,15 @@ LISTS = ("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.correct
 NAMES = (
     *("resume", "data.root", "training.distil_from", "out", "cache", "source", "target", "deck", "records", "publish"),
     *("weights.metadata", "weights.data", "choice.records", "choice.handed.*.learned", "hydra.run.dir"),
-    *("hydra.sweep.dir", "hydra.sweep.subdir", "logger.*.save_dir", "name", "description", "weights.description", "evaluation.stress.label"),
+    *(
+        "hydra.sweep.dir",
+        "hydra.sweep.subdir",
+        "logger.*.save_dir",
+        "name",
+        "description",
+        "weights.description",
+        "evaluation.stress.label",
+    ),
 )
 """Keys whose value is the name of one file or folder, or words of the user's own."""
 
@@ -115,7 +123,7 @@ def value_of(text: str, *, listed: bool, sweeping: bool) -> str:
 
 
 def parts_of(text: str) -> list[str]:
-    """Return what commas part, outside quotes and brackets; a comma in the name of a file that is there parts nothing."""
+    """Return what commas part, outside quotes and brackets; one in the name of a file that is there parts nothing."""
     parts, start = [], 0
     while start <= len(text):
         commas = [found.start() for found in re.finditer(",", text) if found.start() >= start]

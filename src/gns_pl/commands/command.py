@@ -20,11 +20,12 @@ from yaml import YAMLError
 from gns_pl.commands.arguments import prepared
 from gns_pl.commands.help import help_text
 from gns_pl.commands.known import check_known
-from gns_pl.commands.telling import sentence
+from gns_pl.commands.telling import general_sentence, sentence
 from gns_pl.errors import InputError, told_plainly
 from gns_pl.text import file_label
 
 FULL_ERROR = "HYDRA_FULL_ERROR"
+GOES_ON = "stopped; the same command goes on where it was."
 
 
 def start(main: Callable[[], Any], config_name: str) -> None:
@@ -48,8 +49,8 @@ def start(main: Callable[[], Any], config_name: str) -> None:
     sys.argv[1:] = prepared(typed, config)
     try:
         main()
-    except (InputError, HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
-        if traceback_wanted or (isinstance(error, OSError) and error.filename is None and not _of_hydra(error)):
+    except Exception as error:
+        if traceback_wanted or not is_told(error):
             raise
         if not getattr(error, "was_told", False):
             print(f"{file.name}: {sentence(error, typed, config)}", file=sys.stderr)
@@ -59,12 +60,20 @@ def start(main: Callable[[], Any], config_name: str) -> None:
         os.environ[FULL_ERROR] = "1" if traceback_wanted else "0"
 
 
-def _of_hydra(error: OSError) -> bool:
-    return isinstance(error, HydraException)  # a config that is missing is both
+def is_told(error: Exception) -> bool:
+    """Return whether an error is of what was typed, so that a sentence says enough."""
+    if isinstance(error, OSError):
+        return error.filename is not None or isinstance(error, HydraException)
+    if isinstance(error, InputError | HydraException | OmegaConfBaseException | YAMLError):
+        return True
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    return place is not None and str(place.tb_frame.f_globals.get("__name__")).startswith("hydra.")
 
 
 @contextmanager
-def job(name: str, cfg: DictConfig, *, on_stop: str = "stopped; the same command goes on where it was.") -> Iterator[None]:
+def job(name: str, cfg: DictConfig, *, on_stop: str = GOES_ON) -> Iterator[None]:
     """Refuse a config with keys or types that are not the command's, and tell what the work refuses.
 
     Args:
@@ -73,20 +82,21 @@ def job(name: str, cfg: DictConfig, *, on_stop: str = "stopped; the same command
         on_stop: what is told after Ctrl-C.
     """
     with told_plainly(name, in_sweep=HydraConfig.get().mode == RunMode.MULTIRUN):
-        check_known(cfg)
         try:
+            check_known(cfg)
             yield
         except KeyboardInterrupt:
             raise SystemExit(f"{name}: {on_stop}") from None
+        except (HydraException, OmegaConfBaseException, YAMLError) as error:
+            raise InputError(general_sentence(error)) from error
 
 
 def sweep_label() -> str:
-    """Return what tells the job that is running from the others of its sweep, for names of files; "" without a sweep."""
+    """Return what tells the job that is running from the others of its sweep, for names of files; "" outside sweeps."""
     hydra = HydraConfig.get()
     if hydra.mode != RunMode.MULTIRUN:
         return ""
     shared = set(hydra.job.config.override_dirname.exclude_keys)
-    changes = [each.lstrip("+").partition("=") for each in hydra.overrides.task]
-    # Changes of a scene are in its name already.
-    return file_label(*(f"{k}_{v}" for k, _, v in changes if k not in shared and not k.startswith(("scene", "changes."))))
-
+    swept = [each.lstrip("+").split("=", 1) for each in hydra.overrides.task]
+    swept = [each for each in swept if each[0] not in shared and not each[0].startswith("changes.")]
+    return file_label(*("_".join(each) for each in swept if each[0] != "scene"))  # a scene's own name tells it apart

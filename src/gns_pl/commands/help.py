@@ -1,4 +1,4 @@
-"""`--help` of a command: what it is for, two examples, its own groups of settings, and every setting with its meaning."""
+"""`--help` of a command: what it is for, two examples, its own groups, and every setting with its meaning."""
 
 from __future__ import annotations
 
@@ -46,11 +46,12 @@ def help_text(config: Path) -> str:
 
 def _settings(text: str) -> list[str]:
     """Return the lines of a YAML file without its first comments, its defaults and what is Hydra's own."""
-    kept, skipped = [], True
+    kept: list[str] = []
+    skipped = True
     for line in text.splitlines():
         if re.match(r"\w", line):
             skipped = line.startswith(("defaults:", "hydra:"))
-        elif not line and skipped:
+        elif not line and (skipped or not kept):
             continue
         if not skipped:
             kept.append(line)

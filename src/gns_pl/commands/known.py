@@ -19,29 +19,57 @@ from gns_pl.text import did_you_mean
 
 OPEN = (
     *("data.families", "data.walls", "data.mpm", "data.material", "data.store_every", "data.every", "data.root"),
-    *("logger", "callbacks", "trainer", "model", "changes", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
+    *("model", "changes", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
     *("evaluation.stress.variants", "evaluation.stress.sand", "choice.handed", "choice.mpm", "costs", "variants"),
     *("side_walls", "wall", "material", "types", "sand", "paper", "mpm"),
 )
 """Where keys may be added, left out and be null; what reads them checks them."""
 
-EMPTY = ("stabilise", "acceleration", "ckpt", "batches.sizes", "evaluation.spread", "evaluation.snapshots")
+UNTYPED = ("trainer", "callbacks", "logger", "hydra")
+"""Arguments of other packages, which check them."""
+
+EMPTY = (
+    "stabilise",
+    "side_walls",
+    "choice.handed",
+    "costs",
+    "types",
+    "acceleration",
+    "ckpt",
+    "batches.sizes",
+    "evaluation.spread",
+    "evaluation.snapshots",
+)
 """Lists and mappings that may be null."""
 
 KINDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("tolerance", "duration", "dt", "scale", "spacing"), ("number",)),
     **dict.fromkeys(("threads", "num_workers", "training.num_train", "training.optimisation.huber_delta"), ("number",)),
     **dict.fromkeys(("gravity_axis",), ("text", "number")),
-    **dict.fromkeys(("ckpt", "scene", "evaluation.scenes", "evaluation.only", "evaluation.stress.only"), ("text", "list")),
+    **dict.fromkeys(
+        ("ckpt", "scene", "evaluation.scenes", "evaluation.only", "evaluation.stress.only"), ("text", "list")
+    ),
     **dict.fromkeys(("evaluation.stress.axes",), ("text", "list")),
     **dict.fromkeys(("lower", "upper", "evaluation.stress.shown", "model.material_features"), ("list",)),
     **dict.fromkeys(("types",), ("mapping",)),
     **dict.fromkeys(("way", "out", "choice.records", "records", "publish", "source", "target", "deck"), ("text",)),
     **dict.fromkeys(("weights.metadata", "weights.data", "weights.edge_update", "training.distil_from"), ("text",)),
-    **dict.fromkeys(("evaluation.split", "evaluation.film", "data.root", "resume", "evaluation.stress.label"), ("text",)),
+    **dict.fromkeys(
+        ("evaluation.split", "evaluation.film", "data.root", "resume", "evaluation.stress.label"), ("text",)
+    ),
     **dict.fromkeys(("name", "description"), ("text", "number")),
 }
 """Kinds of values of keys that are null unless somebody sets them, and of words that may look like a number."""
+
+WHOLE = {
+    **dict.fromkeys(("seed", "data.seed", "evaluation.seed", "evaluation.stress.seed", "evaluation.placements"), 0),
+    **dict.fromkeys(("num_workers", "threads", "placements", "num_steps", "batch_size", "stride", "valid_every"), 1),
+    **dict.fromkeys(("mpm.points_per_direction", "batches.turns", "valid", "test"), 0),
+}
+"""Keys of whole numbers, and the smallest."""
+
+LARGEST = 2**32 - 1
+"""Whole number that a key may have, as seeds of torch and NumPy."""
 
 WORDS = {
     "flag": "true or false",
@@ -63,22 +91,22 @@ def check_known(cfg: DictConfig) -> None:
     if not GlobalHydra.instance().is_initialized():  # a worker process, whose config the first process has checked
         return
     base = compose(str(hydra.job.config_name), list(base_overrides(hydra.runtime.choices, hydra.overrides.hydra)))
-    for key in cfg:
-        if key not in base:
-            raise unknown_key(str(key), base)
-    for key in base:
-        if key not in cfg and key not in OPEN:
-            raise InputError(f"{key}: it cannot be left out.")
-        if key in cfg:
-            check_value(str(key), plain(cfg, str(key)), plain(base, str(key)), base)
+    for name in map(str, cfg):
+        if name not in base:
+            raise unknown_key(name, base)
+    for name in map(str, base):
+        if name in cfg:
+            check_value(name, plain(cfg, name), plain(base, name), base)
+        elif name not in (*OPEN, *UNTYPED):
+            raise InputError(f"{name}: it cannot be left out.")
 
 
 def base_overrides(choices: Mapping[str, Any], hydra: list[str]) -> Iterator[str]:
     """Return the overrides that give the config of a command without what was typed and without experiments."""
     for group, option in choices.items():
-        if "@" not in group and not group.startswith("hydra/") and group not in ("experiment", "sweep"):
-            if isinstance(option, str):
-                yield f"{group}={option}"
+        own = "@" not in group and not group.startswith("hydra/") and group not in ("experiment", "sweep")
+        if own and isinstance(option, str):
+            yield f"{group}={option}"
     yield from (each for each in hydra if each.lstrip("+").startswith("hydra.searchpath"))
 
 
@@ -89,13 +117,17 @@ def plain(cfg: DictConfig, key: str) -> Any:
 
 
 def check_value(key: str, value: Any, usual: Any, base: DictConfig) -> None:
-    """Raise an `InputError` unless a value is of the kind of the usual one, with its keys; they are followed inwards."""
+    """Raise an `InputError` unless a value is of the kind of the usual one and has its keys; parts likewise."""
+    if key in UNTYPED:
+        return
     is_open = any(key == each or key.startswith(f"{each}.") for each in OPEN)
     kinds = KINDS.get(key, () if usual is None else (kind_of(usual),))
-    if usual is None or is_open or key in EMPTY:
+    if usual is None or (is_open and key not in OPEN) or key in EMPTY:
         kinds = (*kinds, "null") if kinds else ()
     if kinds and kind_of(value) not in kinds:
         raise InputError(f"{key} must be {' or '.join(WORDS[kind] for kind in kinds)}, not {shown(value)}.")
+    if key in WHOLE and value is not None and (not isinstance(value, int) or not WHOLE[key] <= value <= LARGEST):
+        raise InputError(f"{key} must be a whole number of at least {WHOLE[key]}, not {value}.")
     if isinstance(usual, Mapping) and isinstance(value, Mapping):
         for name in value:
             if name in usual:
@@ -119,38 +151,34 @@ def kind_of(value: Any) -> str:
         return "null"
     if isinstance(value, bool):
         return "flag"
-    for kind, types in (("number", (int, float)), ("text", str), ("mapping", Mapping), ("list", list)):
-        if isinstance(value, types):  # type: ignore[arg-type]
-            return kind
-    return type(value).__name__
+    kinds: tuple[tuple[str, Any], ...] = (("number", int | float), ("text", str), ("mapping", Mapping), ("list", list))
+    return next((kind for kind, types in kinds if isinstance(value, types)), type(value).__name__)
 
 
 def shown(value: Any) -> str:
     """Return a value as it is typed."""
-    return {None: "null", True: "true", False: "false"}.get(value, repr(value)) if kind_of(value) in (
-        "null",
-        "flag",
-    ) else repr(value)
+    return {"null": "null", "flag": str(value).lower()}.get(kind_of(value), repr(value))
 
 
 def unknown_key(key: str, base: DictConfig) -> InputError:
     """Return the error for a key that a command does not have, with the one that may have been meant."""
     meant = did_you_mean(key, all_keys(base), dotted=True)
-    return InputError(f"there is no key {key}{f'{meant}.' if meant else _siblings(key, base)}")
+    new = any(key.startswith(f"{each}.") for each in (*OPEN, *UNTYPED))
+    added = f"; a new one is added by a + before it: +{key}=…" if new else ""
+    return InputError(f"there is no key {key}{meant}{added or ('.' if meant else _siblings(key, base))}")
 
 
 def all_keys(base: DictConfig) -> list[str]:
     """Return all keys of a config that a user can type, dotted."""
 
-    def walk(value: Any, prefix: str) -> Iterator[str]:
-        for name in value:
-            key = f"{prefix}{name}"
-            yield key
-            inner = OmegaConf.to_container(value, resolve=False)[name] if OmegaConf.is_config(value) else value[name]
+    def walk(value: Mapping[str, Any], prefix: str) -> Iterator[str]:
+        for name, inner in value.items():
+            yield f"{prefix}{name}"
             if isinstance(inner, Mapping):
-                yield from walk(inner, f"{key}.")
+                yield from walk(inner, f"{prefix}{name}.")
 
-    keys = dict.fromkeys(walk(base, ""))
+    content: Any = OmegaConf.to_container(base, resolve=False)
+    keys = list(walk(content, ""))
     scenes = [key.split(".", 2)[2] for key in keys if key.startswith("catalogue.") and key.count(".") > 1]
     typed = [key for key in keys if key.split(".")[0] not in ("changes", "catalogue", "hydra", "paper", "sand")]
     return [*typed, *(f"scene.{key}" for key in scenes)]
@@ -159,5 +187,7 @@ def all_keys(base: DictConfig) -> list[str]:
 def _siblings(key: str, base: DictConfig) -> str:
     owner, _, _ = key.rpartition(".")
     depth = key.count(".")
-    near = [each for each in all_keys(base) if each.count(".") == depth and each.startswith(f"{owner}." if owner else "")]
+    near = [
+        each for each in all_keys(base) if each.count(".") == depth and each.startswith(f"{owner}." if owner else "")
+    ]
     return f"; there are {', '.join(each.rpartition('.')[2] for each in near)}." if near else "."

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import MarkedYAMLError
@@ -19,39 +19,49 @@ from gns_pl.text import did_you_mean, override
 
 
 def sentence(error: Exception, arguments: Sequence[str], config: Path) -> str:
-    """Return what is wrong and what to do.
+    """Return what is wrong with what was typed, and what to do.
 
     Args:
         error: what was raised.
         arguments: as the user typed them.
         config: the command's YAML file.
     """
-    if isinstance(error, InputError):
-        return str(error)
-    if isinstance(error, MarkedYAMLError):
-        return yaml_sentence(error)
     if isinstance(error, OverrideParseException):
         return _unreadable(error.override)
     if isinstance(error, MissingConfigException):
         return _missing_option(error, config)
-    if isinstance(error, OSError) and not isinstance(error, HydraException):
-        return file_sentence(error)
     text = str(error) if str(error) else str(error.__cause__ or type(error).__name__)
-    refused = re.match(r"(?:Could not override|Could not delete from config\.|Could not delete\. No match for) '(.*?)'", text)
+    refused = re.match(
+        r"(?:Could not override|Could not delete from config\.|Could not delete\. No match for) '(.*?)'", text
+    )
     if refused:
-        return str(unknown_key(refused[1], _usual(config, arguments)))
+        return str(unknown_key(getattr(error.__cause__, "full_key", None) or refused[1], _usual(config, arguments)))
     if match := re.match(r"Could not append to config. An item is already at '(.*?)'", text):
         return f"{match[1]} is there already: leave out the +."
     if match := re.match(r"You must specify '(.*?)'", text):
         return f"which {match[1]}? {match[1]}=NAME; there are {', '.join(options(config, match[1]))}."
     if match := re.match(r"Multiple values for (\S+?)\.", text):
         return f"{match[1]}= is given more than once."
+    return general_sentence(error)
+
+
+def general_sentence(error: Exception) -> str:
+    """Return what is wrong, where nothing is known of what was typed."""
+    if isinstance(error, InputError):
+        return str(error)
+    if isinstance(error, MarkedYAMLError):
+        return yaml_sentence(error)
+    if isinstance(error, OSError) and not isinstance(error, HydraException):
+        return file_sentence(error)
     cause = error.__cause__
-    first = next((line for line in text.splitlines() if line.strip()), "").strip()
-    if isinstance(cause, OmegaConfBaseException) and str(cause) not in text:
-        first = f"{first.rstrip('.:')}: {str(cause).splitlines()[0]}"
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    if isinstance(error, InstantiationException):
+        target = re.sub(r".*?'([\w.]+)'.*", r"\1", lines[0])
+        return f"{target}: {str(cause).splitlines()[0] if cause else lines[-1]}"
+    if cause is not None and str(cause):
+        lines = [f"{lines[0].rstrip('.:')}: {str(cause).splitlines()[0]}" if lines else str(cause).splitlines()[0]]
     key = getattr(error, "full_key", None) or getattr(cause, "full_key", None)
-    return f"{key}: {first}" if key and str(key) not in first else first
+    return f"{key}: {lines[0]}" if key and str(key) not in lines[0] else lines[0]
 
 
 def yaml_sentence(error: MarkedYAMLError) -> str:

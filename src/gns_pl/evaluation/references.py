@@ -18,6 +18,7 @@ from gns_pl.generation import DatasetSpec, chosen_every, is_imported, reference_
 from gns_pl.generation.records import stored_folders
 from gns_pl.io import read_manifest, read_trajectory
 from gns_pl.scene import Scene
+from gns_pl.text import override
 from gns_pl.trajectory import Trajectory
 
 
@@ -113,7 +114,8 @@ def stored_references(checkpoint: Checkpoint, split: str) -> dict[str, Reference
     if not imported:
         folder = stored_folders(folder, DatasetSpec.from_dict(data))[chosen_every(data)]
     if not (folder / "manifest.json").is_file():
-        hint = "convert them again" if imported else f"make them: python generate.py data={data['name']}"
+        place = f"{override('data', data['name'])} {override('data.root', data['root'])}"
+        hint = "convert them again" if imported else f"make them: python generate.py {place}"
         raise InputError(f"evaluation.split: {folder} holds no data; {hint}")
     manifest = read_manifest(folder)
     if split not in manifest.splits:

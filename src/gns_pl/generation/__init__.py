@@ -6,7 +6,7 @@ all of it safely, `stored` finds what is there already, and `reference` keeps si
 the solver is imported only when there is something to simulate.
 """
 
-from gns_pl.generation.dataset import generate_dataset
+from gns_pl.generation.dataset import generate_dataset, missing_bytes
 from gns_pl.generation.reference import reference_trajectory
 from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
 from gns_pl.generation.stored import find_dataset, is_dataset, is_imported, resolved_data
@@ -21,6 +21,7 @@ __all__ = [
     "generate_dataset",
     "is_dataset",
     "is_imported",
+    "missing_bytes",
     "reference_trajectory",
     "resolved_data",
     "thin_trajectory",

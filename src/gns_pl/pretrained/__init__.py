@@ -43,7 +43,7 @@ def existing_checkpoint(path: str | Path) -> Path:
     if found.is_file():
         return found
     known = sorted([*pretrained_names(), *ALIASES])
-    beside = [str(each) for each in sorted(found.parent.glob("*.ckpt"))] if found.parent.name else []
+    beside = [str(each) for each in sorted(found.parent.glob("*.ckpt"))]
     raise InputError(
         f"{path}: there is no such checkpoint{did_you_mean(str(path), [*known, *beside])}; "
         f"those that come with gns_pl are {', '.join(known)}."

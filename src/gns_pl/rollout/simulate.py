@@ -85,7 +85,9 @@ def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
         )
     settings["out"] = Path(settings["out"])
     if isinstance(ckpt, list):
-        raise InputError(f"ckpt={','.join(map(str, ckpt))}: a run takes one checkpoint; -m ckpt=A,B makes a run of each.")
+        raise InputError(
+            f"ckpt={','.join(map(str, ckpt))}: a run takes one checkpoint; -m ckpt=A,B makes a run of each."
+        )
     checkpoint = existing_checkpoint(ckpt) if ckpt else None
     scenes = [_named_scene(each, catalogue, changes, label) for each in ([named] if isinstance(named, str) else named)]
     if checkpoint is None:
@@ -106,8 +108,8 @@ def _named_scene(name: Any, catalogue: Mapping[str, Any], changes: Mapping[str, 
         parts = changed(catalogue[name], changes, name)
         unknown = [key for key in parts if key not in (*catalogue[name], "name")]
         if unknown:
-            meant, known = did_you_mean(unknown[0], catalogue[name]), ", ".join(catalogue[name])
-            raise InputError(f"scene.{unknown[0]}: {name} has no such key{meant}; there are {known}.")
+            meant, there = did_you_mean(unknown[0], catalogue[name]), ", ".join(catalogue[name])
+            raise InputError(f"scene.{unknown[0]}: {name} has no such key{meant}; there are {there}.")
         scene = _column(parts, str(parts.get("name", name)))
     elif Path(name).exists():
         scene = read_scene(Path(name), changes)

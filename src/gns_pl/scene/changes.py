@@ -1,4 +1,4 @@
-"""Changes of a scene by dotted keys, as `scene.bodies.0.velocity=[1,0,0]` is typed: to plain values, before a `Scene`."""
+"""Changes of a scene by dotted keys, as `scene.bodies.0.velocity=[1,0,0]` is typed, in its plain form."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from typing import Any
 import yaml
 
 from gns_pl.errors import InputError
-from gns_pl.scene.changes import changed
 from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall
+from gns_pl.scene.changes import changed
 from gns_pl.scene.definition import Body, Material, Scene
 from gns_pl.text import did_you_mean
 
@@ -89,12 +89,12 @@ def read_scene(path: str | Path, changes: Mapping[str, Any] | None = None) -> Sc
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line = f", line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path}{line}: is not YAML or JSON ({error.problem or error.context}).") from None
+        line = f"line {mark.line + 1}: " if mark else ""
+        raise InputError(f"{path}: is not YAML or JSON ({line}{error.problem or error.context}).") from None
     except (yaml.YAMLError, UnicodeDecodeError):
         raise InputError(f"{path}: is not YAML or JSON.") from None
     try:
-        return scene_from_dict(changed(data, changes or {}, str(path)))
+        return scene_from_dict(changed(data, changes or {}, "the scene"))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
