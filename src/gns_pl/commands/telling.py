@@ -35,7 +35,8 @@ def sentence(error: Exception, arguments: Sequence[str], config: Path) -> str:
         r"(?:Could not override|Could not delete from config\.|Could not delete\. No match for) '(.*?)'", text
     )
     if refused:
-        return str(unknown_key(getattr(error.__cause__, "full_key", None) or refused[1], _usual(config, arguments)))
+        inner = getattr(error.__cause__, "full_key", None) or ""  # in a mapping that was typed
+        return str(unknown_key(max(refused[1], inner, key=len), _usual(config, arguments)))
     if match := re.match(r"Could not append to config. An item is already at '(.*?)'", text):
         return f"{match[1]} is there already: leave out the +."
     if match := re.match(r"You must specify '(.*?)'", text):

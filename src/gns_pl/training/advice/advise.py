@@ -75,10 +75,10 @@ def find_dataset(data: Mapping[str, Any]) -> Path:
             return place
     size = missing_bytes(data)
     if size > LARGE:
-        place = f"{override('data', data['name'])} {override('data.root', root)}"
+        typed = f"{override('data', data['name'])} {override('data.root', root)}"
         raise InputError(
             f"{root}: the data are not there, and advice is about data; to generate them, {size / 1e9:.2g} GB, type "
-            f"python generate.py {place}, which shows how long it takes."
+            f"python generate.py {typed}, which shows how long it takes."
         )
     return generate_dataset(data, device="auto")
 
