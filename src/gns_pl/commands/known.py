@@ -35,31 +35,42 @@ EMPTY = (
 )
 """Lists and mappings that may be null."""
 
+NUMBERS = (
+    *("tolerance", "duration", "dt", "scale", "spacing", "threads", "num_workers", "training.num_train"),
+    "training.optimisation.huber_delta",
+)
+TEXTS = (
+    *("way", "out", "choice.records", "records", "publish", "source", "target", "deck", "data.root", "resume"),
+    *("weights.metadata", "weights.data", "weights.edge_update", "training.distil_from", "evaluation.split"),
+    *("evaluation.film", "evaluation.stress.label"),
+)
+SEVERAL = ("ckpt", "scene", *(f"evaluation.{name}" for name in ("scenes", "only", "stress.only", "stress.axes")))
 KINDS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("tolerance", "duration", "dt", "scale", "spacing"), ("number",)),
-    **dict.fromkeys(("threads", "num_workers", "training.num_train", "training.optimisation.huber_delta"), ("number",)),
-    **dict.fromkeys(("gravity_axis",), ("text", "number")),
-    **dict.fromkeys(
-        ("ckpt", "scene", "evaluation.scenes", "evaluation.only", "evaluation.stress.only"), ("text", "list")
-    ),
-    **dict.fromkeys(("evaluation.stress.axes",), ("text", "list")),
+    **dict.fromkeys(NUMBERS, ("number",)),
+    **dict.fromkeys(TEXTS, ("text",)),
+    **dict.fromkeys(SEVERAL, ("text", "list")),
     **dict.fromkeys(("lower", "upper", "evaluation.stress.shown", "model.material_features"), ("list",)),
-    **dict.fromkeys(("types",), ("mapping",)),
-    **dict.fromkeys(("way", "out", "choice.records", "records", "publish", "source", "target", "deck"), ("text",)),
-    **dict.fromkeys(("weights.metadata", "weights.data", "weights.edge_update", "training.distil_from"), ("text",)),
-    **dict.fromkeys(
-        ("evaluation.split", "evaluation.film", "data.root", "resume", "evaluation.stress.label"), ("text",)
-    ),
-    **dict.fromkeys(("name", "description"), ("text", "number")),
+    **dict.fromkeys(("name", "description", "gravity_axis"), ("text", "number")),
+    "types": ("mapping",),
 }
 """Kinds of values of keys that are null unless somebody sets them, and of words that may look like a number."""
+
+MPM = ("", "choice.", "data.", "evaluation.stress.")
+"""Owners of settings of the material point method."""
 
 WHOLE = {
     **dict.fromkeys(("seed", "data.seed", "evaluation.seed", "evaluation.stress.seed", "evaluation.placements"), 0),
     **dict.fromkeys(("num_workers", "threads", "placements", "num_steps", "batch_size", "stride", "valid_every"), 1),
-    **dict.fromkeys(("mpm.points_per_direction", "batches.turns", "valid", "test"), 0),
+    **dict.fromkeys(("batches.turns", "valid", "test"), 0),
+    **dict.fromkeys((f"{owner}mpm.points_per_direction" for owner in MPM), 1),
 }
 """Keys of whole numbers, and the smallest."""
+
+POSITIVE = (
+    *(f"{owner}mpm.{name}" for owner in MPM for name in ("courant", "cell_size")),
+    *("frame_interval", "choice.frame_interval", "evaluation.duration", "evaluation.stress.interval"),
+)
+"""Keys of numbers above zero."""
 
 LARGEST = 2**32 - 1
 """Whole number that a key may have, as seeds of torch and NumPy."""
@@ -121,6 +132,8 @@ def check_value(key: str, value: Any, usual: Any, base: DictConfig) -> None:
         raise InputError(f"{key} must be {' or '.join(WORDS[kind] for kind in kinds)}, not {shown(value)}.")
     if key in WHOLE and value is not None and (not isinstance(value, int) or not WHOLE[key] <= value <= LARGEST):
         raise InputError(f"{key} must be a whole number of at least {WHOLE[key]}, not {value}.")
+    if key in POSITIVE and not value > 0:
+        raise InputError(f"{key} must be above 0, not {value}.")
     if isinstance(usual, Mapping) and isinstance(value, Mapping):
         for name in value:
             if name in usual:
