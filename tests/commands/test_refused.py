@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,9 +10,11 @@ import yaml
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from gns_pl.io import write_manifest
 from gns_pl.text import did_you_mean, nearest
 from tests.commands.test_train import ROOT
 from tests.commands.typed import typed
+from tests.data.sets import make_flight, make_scene, write_set
 
 COMMANDS = ("train", "evaluate", "simulate", "generate", "correct", "benchmark", "convert")
 SCENE = str(ROOT / "scenes/two_blocks.yaml")
@@ -147,6 +150,14 @@ def test_what_may_be_new_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
     assert "kind 'x'" in refused(capsys, "generate", "data=quickstart", "+data.families.mine={kind:x}")
     wall = refused(capsys, "simulate", *RUN, "scene.side_walls={condition:slipp}")
     assert "condition must be one of stick, slip, friction" in wall
+
+
+def test_a_folder_that_cannot_be_generated(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+    manifest = write_set(folder / "a=b", [make_flight(make_scene(), frames=4)] * 2)
+    write_manifest(
+        folder / "a=b", replace(manifest, spec={"name": "n", "gravity": 9.81, "imported": {"format": "npz"}})
+    )
+    assert "a=b: its data are imported" in refused(capsys, "generate", "data=a=b")
 
 
 def test_unwritable_folders_are_told(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
