@@ -3,20 +3,17 @@
 import hydra
 from omegaconf import DictConfig
 
-from gns_pl.errors import told_plainly
+from gns_pl.commands import job, start
 
 
 @hydra.main(version_base=None, config_path="conf", config_name="convert")
 def main(cfg: DictConfig) -> None:
     """Convert with one config."""
-    with told_plainly("convert.py"):
+    with job("convert.py", cfg):
         from gns_pl.conversion.door import convert_config
 
-        try:
-            convert_config(cfg)
-        except KeyboardInterrupt:
-            raise SystemExit("convert.py: stopped; the same command goes on where it was.") from None
+        convert_config(cfg)
 
 
 if __name__ == "__main__":
-    main()
+    start(main, "convert")

@@ -3,17 +3,17 @@
 import hydra
 from omegaconf import DictConfig
 
-from gns_pl.errors import told_plainly
+from gns_pl.commands import job, start
 
 
 @hydra.main(version_base=None, config_path="conf", config_name="correction")
 def main(cfg: DictConfig) -> None:
     """Fit with one config."""
-    with told_plainly("correct.py"):
+    with job("correct.py", cfg):
         from gns_pl.training.correction import correction_config
 
         correction_config(cfg)
 
 
 if __name__ == "__main__":
-    main()
+    start(main, "correction")

@@ -5,21 +5,22 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from gns_pl.errors import told_plainly
+from gns_pl.commands import job, start
+from gns_pl.errors import InputError
 
 
 @hydra.main(version_base=None, config_path="conf", config_name="generate")
 def main(cfg: DictConfig) -> None:
     """Generate with one config."""
-    with told_plainly("generate.py"):
-        from gns_pl.generation import generate_dataset
+    with job("generate.py", cfg):
+        from gns_pl.generation import generate_dataset, is_imported, resolved_data
 
-        spec: Any = OmegaConf.to_container(cfg.data, resolve=True)
-        try:
-            generate_dataset(spec, num_workers=cfg.num_workers, device=cfg.device)
-        except KeyboardInterrupt:
-            raise SystemExit("generate.py: stopped; the same command goes on where it was.") from None
+        given: Any = OmegaConf.to_container(cfg.data, resolve=True)
+        spec = resolved_data(given)
+        if is_imported(spec):
+            raise InputError(f"{spec['root']}: its data are imported, and no solver of ours can make more of them.")
+        generate_dataset(spec, num_workers=cfg.num_workers, device=cfg.device)
 
 
 if __name__ == "__main__":
-    main()
+    start(main, "generate")

@@ -1,29 +1,23 @@
 """python simulate.py [ckpt=FILE] scene=FILE.yaml|NAME [key=value …]: run scenes, frames into HDF5."""
 
-import re
-import sys
+from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig
 
-from gns_pl.errors import told_plainly
+from gns_pl.commands import job, start, sweep_label
+from gns_pl.commands.scene_sweep import sweep_tabled
 
 
 @hydra.main(version_base=None, config_path="conf", config_name="simulate")
-def main(cfg: DictConfig) -> None:
-    """Simulate with one config."""
-    with told_plainly("simulate.py"):
+def main(cfg: DictConfig) -> list[Path]:
+    """Simulate with one config; Hydra calls it once per job of a sweep."""
+    with job("simulate.py", cfg):
         from gns_pl.evaluation.simulation import simulate_and_describe
 
-        simulate_and_describe(cfg)
-
-
-def of_catalogue(arguments: list[str]) -> list[str]:
-    """Return the arguments with scene.KEY=… where Hydra finds it: at the scene's place in the catalogue."""
-    name = next((each.partition("=")[2] for each in arguments if each.startswith("scene=")), "")
-    return [re.sub(r"^scene\.", f"catalogue.{name}.", each) for each in arguments]
+        return simulate_and_describe(cfg, label=sweep_label())
 
 
 if __name__ == "__main__":
-    sys.argv[1:] = of_catalogue(sys.argv[1:])
-    main()
+    with sweep_tabled():
+        start(main, "simulate")

@@ -6,7 +6,9 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from gns_pl.text import override
+from gns_pl.text import file_label, override
+from gns_pl.training.resume import go_on
+from gns_pl.training.summary import summary_lines
 
 NAMES = [
     *("runs/a/last.ckpt", "a=b", "a b", "ä/é", "x[1]", "a,b", "{x}", "a\\b", "a\\", "a\\\\", 'a"b', 'a\\"b', "a'b"),
@@ -25,3 +27,27 @@ def test_a_printed_override_is_read_back_by_shell_and_hydra(name):
 
 def test_a_plain_name_is_printed_as_it_stands():
     assert override("ckpt", "runs/quickstart/last.ckpt") == "ckpt=runs/quickstart/last.ckpt"
+
+
+@pytest.mark.parametrize("name", ["a b=c", "é[1],{x}", 'it\'s "so"', "${x}"])
+def test_every_command_that_is_printed_can_be_typed(name, tmp_path):
+    """Resume, judge: for every folder, the shell and Hydra read the folder back."""
+    folder = tmp_path / name
+    summary = {"name": "n", "status": "s", "wall_seconds": None, "num_starts": 1, "steps": 1, "num_steps": 1}
+    summary |= {"data": {"name": "d", "num_windows": 1, "num_train": 1, "num_valid": 1}, "num_parameters": 1}
+    summary |= {"num_threads": 1, "device": "cpu", "best": None, "final": None, "checkpoint": str(folder / "last.ckpt")}
+    summary |= dict.fromkeys(("step_seconds", "windows_per_s", "rollout_step_seconds"))
+    printed = [*go_on_words(folder), *shlex.split(summary_lines(summary)[-1].split("evaluate.py ")[1])]
+    values = [OverridesParser.create().parse_override(word).value() for word in printed]
+    read = OmegaConf.to_container(OmegaConf.create(values), resolve=True)
+    assert read == [str(folder / "last.ckpt"), str(folder), str(folder / "last.ckpt")]
+
+
+def go_on_words(folder):
+    return shlex.split(go_on(folder))
+
+
+def test_labels_of_files():
+    assert file_label("a_[1, 2]", "b_x/y") == "a_1_2_b_x_y" and file_label() == ""
+    long = [file_label(f"a_{'x' * 300}{last}") for last in "yz"]
+    assert len(set(long)) == 2 and max(map(len, long)) < 120

@@ -14,6 +14,7 @@ PACKAGE = Path(__file__).parents[2] / "src/gns_pl"
 
 # Every room, and the modules of it that users call beside what the room itself exports.
 ROOMS: dict[str, tuple[str, ...]] = {
+    "commands": (),
     "scene": ("extent",),
     "trajectory": (),
     "io": ("stream", "convert"),

@@ -27,8 +27,16 @@ def told_plainly(door: str, *, in_sweep: bool = False) -> Iterator[None]:
     """
     try:
         yield
-    except (InputError, PermissionError) as error:
-        print(f"{door}: {error}", file=sys.stderr)
+    except (InputError, OSError) as error:
+        if isinstance(error, OSError) and error.filename is None:
+            raise
+        print(f"{door}: {file_sentence(error) if isinstance(error, OSError) else error}", file=sys.stderr)
         if in_sweep:
+            error.was_told = True  # type: ignore[union-attr]
             raise
         raise SystemExit(2) from error
+
+
+def file_sentence(error: OSError) -> str:
+    """Return what is wrong with the file that an `OSError` names."""
+    return f"{error.filename}: cannot be used ({error.strerror}); check the name and its permissions."

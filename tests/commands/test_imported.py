@@ -124,7 +124,8 @@ def test_weights_of_geoelements_are_judged_and_simulate(tmp_path: Path) -> None:
     scene = ("scene=column_collapse", "scene.length=0.5", "scene.aspect_ratio=0.8", "duration=0.06", "device=cpu")
     run = door(tmp_path, "simulate.py", "ckpt=a.ckpt", *scene)
     assert run.returncode == 0, run.stderr
-    assert read_trajectory(tmp_path / "runs/simulate/column_collapse.h5").num_frames >= 2
+    name = "column_collapse_aspect_ratio_0.8_length_0.5.h5"
+    assert read_trajectory(tmp_path / "runs/simulate" / name).num_frames >= 2
     for each in (carried, judged, run):
         assert "their own program starts from 6 true frames" in each.stdout
         assert "evaluation.start=frames" in each.stdout

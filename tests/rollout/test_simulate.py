@@ -197,6 +197,7 @@ def test_a_scene_of_the_catalogue_by_a_tolerance(tmp_path: Path) -> None:
     assert "in plane strain, √(L0 H0) = 0.429 m" in explained and "chosen: " in explained
     assert not (tmp_path / "out").exists()
     assert "frames in" in said("scene.duration_tau=1")
-    made = read_trajectory(tmp_path / "out" / "column_collapse.h5")
+    name = "column_collapse_aspect_ratio_1.5_duration_tau_1_side_walls_condition_slip.h5"
+    made = read_trajectory(tmp_path / "out" / name)
     assert made.scene.dim == 3 and made.scene.bodies[0].size == pytest.approx((0.35, 0.5, 0.525))
     assert made.dt == pytest.approx(0.01)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from omegaconf import OmegaConf
 
 from gns_pl.data.survey import survey_dataset
 from gns_pl.errors import InputError
-from gns_pl.generation import DatasetSpec, draw_plan
+from gns_pl.generation import DatasetSpec, draw_plan, missing_bytes
 from gns_pl.graph import Draws
 from gns_pl.training.advice import advise
 from gns_pl.training.advice.faults import Suggestion
@@ -289,6 +291,17 @@ def test_bad_settings_are_refused_before_anything_is_generated(tmp_path: Path) -
         with pytest.raises(InputError, match=sentence):
             advise(make_config(tmp_path / "data", tmp_path, change), tmp_path)
     assert not (tmp_path / "data").exists()
+
+
+def test_large_data_are_asked_for_and_not_generated(tmp_path: Path) -> None:
+    cfg = make_config(tmp_path / "data", tmp_path, "data.frame_interval=1e-6")
+    cfg.data.root = str(tmp_path / "a b=c")
+    with pytest.raises(InputError, match=r"to generate them, \d.* GB, type python generate\.py") as refused:
+        advise(cfg, tmp_path)
+    typed = shlex.split(str(refused.value).split("generate.py ")[1].split(", which")[0])
+    assert typed[1] == f'data.root="{tmp_path}/a b=c"' and list(tmp_path.iterdir()) == []
+    size = float(re.search(r"them, (\S+) GB", str(refused.value))[1])  # type: ignore[index]
+    assert size == pytest.approx(missing_bytes(OmegaConf.to_container(cfg.data, resolve=True)) / 1e9, rel=0.1)
 
 
 def test_lines_of_a_suggestion() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError
+from gns_pl.text import override
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -51,7 +52,7 @@ def convert_config(cfg: DictConfig) -> None:
     if settings["to"] == "gns_pl":
         radius = found.stated.radius
         more = "" if radius is None else f" model.connectivity_radius={radius * (given.scale or 1):g}"
-        print(f"To train on it: python train.py data={path}{more}")
+        print(f"To train on it: python train.py {override('data', path)}{more}")
 
 
 def _convert_weights(source: Path, target: Path | None, settings: dict[str, Any], weights: dict[str, Any]) -> None:

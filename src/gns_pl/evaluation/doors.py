@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gns_pl.errors import InputError
-from gns_pl.pretrained import find_checkpoint, find_corrector, is_corrector, pretrained_names
+from gns_pl.pretrained import existing_checkpoint, find_corrector, is_corrector
 from gns_pl.text import override
 
 
@@ -24,10 +24,7 @@ def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
                 f"{text}: corrects coarse MPM and is no learned simulator, so it is not judged here: simulate.py "
                 f"{override('ckpt', text)} runs it, and benchmark.py {override('ckpt', text)} measures it."
             )
-        path = find_checkpoint(text)
-        if not path.is_file():
-            known = ", ".join(pretrained_names())
-            raise InputError(f"{path}: there is no such checkpoint; those that come with gns_pl are {known}.")
+        path = existing_checkpoint(text)
         if path in found.values():
             continue
         name = text if path != Path(text) else path.parent.name or path.stem

@@ -20,8 +20,12 @@ if TYPE_CHECKING:
     from gns_pl.evaluation.references import Reference
 
 
-def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
+def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, Any]]:
     """Evaluate as a Hydra config says (conf/evaluate.yaml); what can be refused is refused before anything heavy.
+
+    Args:
+        cfg: the config.
+        label: what tells this job from the others of a sweep, a folder in that of the evaluation; "" for none.
 
     Returns:
         Name of every checkpoint → the content of its metrics.json.
@@ -32,13 +36,13 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
     if "stress" in settings["evaluation"]:
         from gns_pl.evaluation.stress.judge import stress_from_settings
 
-        return stress_from_settings(settings)
+        return stress_from_settings(settings, label)
     if settings["solver"] not in ("learned", "mpm"):
         raise InputError(f"solver must be learned or mpm, not {settings['solver']!r}.")
     if settings["solver"] == "mpm":
         from gns_pl.evaluation.solver_alone import evaluate_mpm
 
-        return {name: run.trajectory.provenance for name, run in evaluate_mpm(settings).items()}
+        return {name: run.trajectory.provenance for name, run in evaluate_mpm(settings, label).items()}
     if settings["cell_size"] is not None:
         raise InputError("cell_size= is that of solver=mpm; a checkpoint is judged against the MPM of its own data.")
     evaluation, wanted = settings["evaluation"], settings["ckpt"]
@@ -51,7 +55,7 @@ def evaluate_config(cfg: DictConfig) -> dict[str, dict[str, Any]]:
         check_space(film=bool(evaluation["film"]))
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
-    out = Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)
+    out = (Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)) / label
     kept = {"cache": Path(settings["cache"]), "stabilise": settings["stabilise"], "root": settings["data"]["root"]}
     return evaluate_all(checkpoints, out=out, logger=logger, **kept, **evaluation)
 

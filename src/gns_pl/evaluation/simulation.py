@@ -17,8 +17,12 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 
-def simulate_and_describe(cfg: DictConfig) -> list[Path]:
+def simulate_and_describe(cfg: DictConfig, *, label: str = "") -> list[Path]:
     """Simulate as a Hydra config says (conf/simulate.yaml), and say what became of every run.
+
+    Args:
+        cfg: the config.
+        label: what tells this job from the others of a sweep; it goes into the names of the files.
 
     Returns:
         The trajectory files.
@@ -32,7 +36,7 @@ def simulate_and_describe(cfg: DictConfig) -> list[Path]:
         check_reporting(**{key: reporting[key] for key in keys}, key="reporting")
     from gns_pl.rollout.simulate import simulate_config
 
-    paths = simulate_config(cfg)
+    paths = simulate_config(cfg, label=label)
     # Of several processes that torchrun has started the first describes.
     if os.environ.get("WORLD_SIZE", "1") != "1" and os.environ.get("RANK", "0") != "0":
         return paths

@@ -22,10 +22,14 @@ REPORTING = ("figures", "snapshots", "animation", "film", "paraview")
 """Keys of an evaluation that say what is drawn."""
 
 
-def evaluate_mpm(settings: Mapping[str, Any]) -> dict[str, ReportedRun]:
+def evaluate_mpm(settings: Mapping[str, Any], label: str = "") -> dict[str, ReportedRun]:
     """Run the scenes of a config (conf/evaluate.yaml) by MPM, on other cells besides, and report them.
 
     Material, walls and settings are those of a checkpoint's data where one is named, else the paper's.
+
+    Args:
+        settings: the config, as plain values.
+        label: what tells this job from the others of a sweep, a folder in that of the evaluation; "" for none.
 
     Returns:
         Name of every scene → its run.
@@ -60,7 +64,7 @@ def evaluate_mpm(settings: Mapping[str, Any]) -> dict[str, ReportedRun]:
         raise InputError(
             f"evaluation.spread: sizes of cells over those of the run must be positive, not {list(cells)}."
         )
-    out = Path(settings["out"]) if settings["out"] else out
+    out = (Path(settings["out"]) if settings["out"] else out) / label
     runs = {}
     for name, scene in scenes.items():
         runs[name] = _run(solver, scene, cells, interval, evaluation["seed"], Path(settings["cache"]))

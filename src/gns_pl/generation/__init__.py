@@ -6,10 +6,10 @@ all of it safely, `stored` finds what is there already, and `reference` keeps si
 the solver is imported only when there is something to simulate.
 """
 
-from gns_pl.generation.dataset import generate_dataset
+from gns_pl.generation.dataset import generate_dataset, missing_bytes
 from gns_pl.generation.reference import reference_trajectory
 from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
-from gns_pl.generation.stored import find_dataset, is_imported, named_folder, resolved_data
+from gns_pl.generation.stored import find_dataset, is_dataset, is_imported, resolved_data
 from gns_pl.generation.thinning import thin_trajectory
 
 __all__ = [
@@ -19,8 +19,9 @@ __all__ = [
     "draw_plan",
     "find_dataset",
     "generate_dataset",
+    "is_dataset",
     "is_imported",
-    "named_folder",
+    "missing_bytes",
     "reference_trajectory",
     "resolved_data",
     "thin_trajectory",

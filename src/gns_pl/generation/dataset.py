@@ -84,6 +84,20 @@ def generate_dataset(
     return wanted
 
 
+def missing_bytes(spec: Mapping[str, Any]) -> int:
+    """Return the positions that `generate_dataset` would write [bytes].
+
+    Args:
+        spec: a `DatasetSpec` as plain values, with "root".
+
+    Raises:
+        InputError: a specification that cannot be used.
+    """
+    dataset, folder = DatasetSpec.from_dict(spec), Path(spec["root"])
+    spacing = solver.solver_config(dataset.mpm).spacing
+    return sum(_job(folder, dataset, planned, spacing, "cpu").missing_bytes() for planned in draw_plan(dataset))
+
+
 def _job(folder: Path, dataset: DatasetSpec, planned: Planned, spacing: float, device: str) -> Job:
     num_points, stored = stored_counts(planned.scene, spacing, planned.offsets)
     return Job(

@@ -7,7 +7,7 @@ manifest then says what it is; the config only says where (conf/data/imported.ya
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +19,12 @@ OPTION = "imported"
 """Of the config group `data`, for folders."""
 
 
-def named_folder(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments of a command with data=FOLDER as Hydra takes it, data=imported data.root=FOLDER."""
-    plain: list[str] = []
-    for argument in arguments:
-        key, _, value = argument.partition("=")
-        if key == "data" and value and (Path(value) / MANIFEST_NAME).is_file():
-            quoted = value.rstrip("/").replace("\\", "\\\\").replace('"', '\\"')
-            plain += [f"data={OPTION}", f'data.root="{quoted}"']
-        else:
-            plain.append(argument)
-    return plain
+def is_dataset(path: str) -> bool:
+    """Return whether a folder with a manifest is there under a name."""
+    try:
+        return bool(path) and (Path(path) / MANIFEST_NAME).is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def is_imported(data: Mapping[str, Any]) -> bool:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+
+from gns_pl.errors import InputError
+from gns_pl.text import did_you_mean
 
 FOLDER = Path(__file__).parent
 
@@ -39,3 +43,24 @@ def find_corrector(path: str | Path) -> Path:
 def is_corrector(path: str | Path) -> bool:
     """Return whether a name or a file is a corrector and no checkpoint."""
     return find_corrector(path).suffix == CORRECTOR
+
+
+def existing_checkpoint(path: str | Path, also: Iterable[str] = ()) -> Path:
+    """Return the path of a checkpoint that is there.
+
+    Args:
+        path: as of `find_checkpoint`.
+        also: names of what can stand in its place besides, for the message.
+
+    Raises:
+        InputError: there is none; names that may have been meant, and those that come with the package, are told.
+    """
+    found = find_checkpoint(path)
+    if found.is_file():
+        return found
+    known = sorted([*pretrained_names(), *ALIASES, *also])
+    beside = [str(each) for each in sorted(found.parent.glob("*.ckpt"))]
+    raise InputError(
+        f"{path}: there is no such checkpoint{did_you_mean(str(path), [*known, *beside])}; "
+        f"those that come with gns_pl are {', '.join(known)}."
+    )

@@ -21,7 +21,7 @@ from gns_pl.errors import InputError
 from gns_pl.frame_simulator import cold_start
 from gns_pl.io import file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
-from gns_pl.pretrained import corrector_names, find_checkpoint, is_corrector, pretrained_names
+from gns_pl.pretrained import corrector_names, existing_checkpoint, find_checkpoint, is_corrector
 from gns_pl.rollout.acceleration import accelerate
 from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
@@ -35,11 +35,17 @@ from gns_pl.rollout.reduction import Reduction
 from gns_pl.rollout.rest import STEPS, Rest
 from gns_pl.rollout.stabilise import stabilise as stabilised
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
+from gns_pl.scene.changes import changed, changes_label, decoded
+from gns_pl.scene.checks import checked_number, checked_numbers
 from gns_pl.simulator import Simulator
+from gns_pl.text import did_you_mean
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+
+COLUMN = ("length", "aspect_ratio", "duration_tau", "gravity")
+"""Numbers of a column of the catalogue."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +67,17 @@ class Job:
     reduction: Reduction
 
 
-def simulate_config(cfg: DictConfig) -> list[Path]:
-    """Simulate as a Hydra config says (conf/simulate.yaml)."""
+def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
+    """Simulate as a Hydra config says (conf/simulate.yaml).
+
+    Args:
+        cfg: the config.
+        label: what tells this job from the others of a sweep; it goes into the names of the files.
+    """
     from omegaconf import OmegaConf
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    changes = decoded(settings.pop("changes"))
     ckpt, named, tolerance = (settings.pop(key) for key in ("ckpt", "scene", "tolerance"))
     catalogue, choice, explain, way = (settings.pop(key) for key in ("catalogue", "choice", "explain", "solver"))
     cell_size, check = settings.pop("cell_size"), settings.pop("check")
@@ -84,11 +96,12 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
             "scene=FILE.yaml"
         )
     settings["out"] = Path(settings["out"])
-    checkpoint = find_checkpoint(ckpt) if ckpt else None
-    if checkpoint is not None and not checkpoint.is_file():
-        known = ", ".join([*pretrained_names(), *corrector_names(), *choice["handed"]])
-        raise InputError(f"{checkpoint}: there is no such checkpoint; those that come with gns_pl are {known}.")
-    scenes = [_named_scene(each, catalogue) for each in ([named] if isinstance(named, str) else named)]
+    if isinstance(ckpt, list):
+        raise InputError(
+            f"ckpt={','.join(map(str, ckpt))}: a run takes one checkpoint; -m ckpt=A,B makes a run of each."
+        )
+    checkpoint = existing_checkpoint(ckpt, [*corrector_names(), *choice["handed"]]) if ckpt else None
+    scenes = [_named_scene(each, catalogue, changes, label) for each in ([named] if isinstance(named, str) else named)]
     if checkpoint is None:
         from gns_pl.rollout.by_choice import simulate_by_choice
 
@@ -103,21 +116,43 @@ def simulate_config(cfg: DictConfig) -> list[Path]:
     return simulate(checkpoint, scenes, **settings)
 
 
-def _named_scene(name: str, catalogue: Mapping[str, Any]) -> Scene:
-    """Return a scene of the catalogue (conf/simulate.yaml), or of a file."""
-    if name not in catalogue:
-        return read_scene(Path(name))
-    parts = dict(catalogue[name])
-    gravity, height = float(parts["gravity"]), parts["length"] * parts["aspect_ratio"]
-    sides = {"y-": parts["side_walls"], "y+": parts["side_walls"]} if parts["side_walls"] else {}
+def _named_scene(name: Any, catalogue: Mapping[str, Any], changes: Mapping[str, Any], label: str = "") -> Scene:
+    """Return a scene of the catalogue (conf/simulate.yaml), or of a file, with changes, which its name carries."""
+    if not isinstance(name, str):
+        raise InputError(f"scene: a file or a name is needed, not {name!r}.")
+    if name in catalogue:
+        parts = changed(catalogue[name], changes, name)
+        unknown = [key for key in parts if key not in (*catalogue[name], "name")]
+        if unknown:
+            meant, there = did_you_mean(unknown[0], catalogue[name]), ", ".join(catalogue[name])
+            raise InputError(f"scene.{unknown[0]}: {name} has no such key{meant}; there are {there}.")
+        scene = _column(parts, str(parts.get("name", name)))
+    elif Path(name).exists():
+        scene = read_scene(Path(name), changes)
+    else:
+        known = [*catalogue, *(str(path) for path in sorted(Path(name).parent.glob("*.y*ml")))]
+        raise InputError(
+            f"{name}: there is no such scene file{did_you_mean(name, known)}; the catalogue has {', '.join(catalogue)}."
+        )
+    return scene.replace(name="_".join(filter(None, (scene.name, changes_label(changes), label))))
+
+
+def _column(parts: Mapping[str, Any], name: str) -> Scene:
+    owner = f"scene {name!r}"
+    numbers = {key: checked_number(owner, key, parts[key], 0.0, above=True) for key in COLUMN}
+    gravity, height = numbers["gravity"], numbers["length"] * numbers["aspect_ratio"]
+    side, walls = parts["side_walls"], parts["walls"]
+    if not isinstance(walls, Mapping):
+        raise InputError(f"{owner}: walls must be a mapping, not {walls!r}.")
+    sides = {"y-": side, "y+": side} if side else {}
     return column_collapse(
-        domain=parts["domain"],
-        length=parts["length"],
+        domain=checked_numbers(owner, "domain", parts["domain"]),
+        length=numbers["length"],
         height=height,
         gravity=gravity,
-        duration=parts["duration_tau"] * math.sqrt(height / gravity),
+        duration=numbers["duration_tau"] * math.sqrt(height / gravity),
         material=part_from_dict(Material, "material", parts["material"]),
-        walls={face: part_from_dict(Wall, f"wall {face}", wall) for face, wall in {**parts["walls"], **sides}.items()},
+        walls={face: part_from_dict(Wall, f"wall {face}", wall) for face, wall in {**walls, **sides}.items()},
         name=name,
     )
 

@@ -12,7 +12,9 @@ import yaml
 
 from gns_pl.errors import InputError
 from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall
+from gns_pl.scene.changes import changed
 from gns_pl.scene.definition import Body, Material, Scene
+from gns_pl.text import did_you_mean
 
 OBSTACLES: dict[str, type[Obstacle]] = {"plane": Plane, "box": Box}
 """Kind of obstacle → its class."""
@@ -25,7 +27,8 @@ def part_from_dict(cls: type, owner: str, data: Any) -> Any:
     known = {field.name: field for field in dataclasses.fields(cls)}
     unknown = [str(key) for key in data if key not in known]
     if unknown:
-        raise InputError(f"{owner}: unknown key {', '.join(unknown)}; known are {', '.join(known)}.")
+        meant = did_you_mean(unknown[0], known)
+        raise InputError(f"{owner}: unknown key {', '.join(unknown)}{meant}; known are {', '.join(known)}.")
     missing = [name for name, f in known.items() if f.default is dataclasses.MISSING and name not in data]
     if missing:
         raise InputError(f"{owner}: missing key {', '.join(missing)}.")
@@ -69,21 +72,29 @@ def _obstacle(owner: str, data: Any) -> Obstacle:
     return obstacle
 
 
-def read_scene(path: str | Path) -> Scene:
+def read_scene(path: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
     """Read a scene from a `.yaml`, `.yml` or `.json` file.
 
+    Args:
+        path: the file.
+        changes: dotted key → value that takes the place of the file's (`scene.changes`).
+
     Raises:
-        InputError: no such file, not YAML or JSON, or not a scene; the file is named.
+        InputError: no such file, not YAML or JSON, or not a scene; the file is named, and the line if it is known.
     """
     path = Path(path)
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is YAML
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f"line {mark.line + 1}: " if mark else ""
+        raise InputError(f"{path}: is not YAML or JSON ({line}{error.problem or error.context}).") from None
     except (yaml.YAMLError, UnicodeDecodeError):
         raise InputError(f"{path}: is not YAML or JSON.") from None
     try:
-        return scene_from_dict(data)
+        return scene_from_dict(changed(data, changes or {}, "the scene"))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError
+from gns_pl.text import did_you_mean, override
 
 DECISIVE = ("model", "data", "training", "seed", "callbacks.average", "trainer.precision", "trainer.gradient_clip_val")
 """What has to be the same for a resumed run to end where an uninterrupted one does."""
@@ -30,7 +31,8 @@ def find_resume(resume: str | None, output: Path) -> Path | None:
     if path.is_file():
         return path
     if resume != "auto":
-        raise InputError(f"resume={resume}: there is no such checkpoint.")
+        known = [str(each) for each in sorted(path.parent.glob("*.ckpt"))]
+        raise InputError(f"resume={resume}: there is no such checkpoint{did_you_mean(resume, known)}.")
     return None
 
 
@@ -63,7 +65,7 @@ def steps_made(path: Path, settings: Mapping[str, Any]) -> int:
 
 def go_on(output: Path) -> str:
     """Return what to add to the command that began a run in order to go on with it."""
-    return f"resume={output / 'last.ckpt'} hydra.run.dir={output}"
+    return f"{override('resume', output / 'last.ckpt')} {override('hydra.run.dir', output)}"
 
 
 @contextmanager
@@ -117,7 +119,7 @@ def _read(path: Path) -> dict[str, Any]:
                 continue
             raise InputError(
                 f"{str(error).rstrip('.')}; {other} is good and has made {steps} steps: to go on from there, add "
-                f"resume={other} hydra.run.dir={path.parent}"
+                f"{override('resume', other)} {override('hydra.run.dir', path.parent)}"
             ) from error
         raise InputError(
             f"{str(error).rstrip('.')}, and there is no good one beside it; resume=null trains anew."

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 from collections.abc import Mapping
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
+
+from gns_pl.text import override
 
 FORMAT = "gns_pl training summary"
 FORMAT_VERSION = 1
@@ -55,7 +56,7 @@ def summary_lines(summary: Mapping[str, Any]) -> list[str]:
     for label, values in (("best", summary["best"]), ("at the end", summary["final"])):
         if values is not None:
             lines.append(f"  {label:<11} step {values['step']:,}: {described(values)}")
-    lines.append(f"  to judge it python evaluate.py ckpt={shlex.quote(shown_path(summary['checkpoint']))}")
+    lines.append(f"  to judge it python evaluate.py {override('ckpt', shown_path(summary['checkpoint']))}")
     return lines
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.scenes import build_scenes
+from gns_pl.text import override
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -128,7 +129,8 @@ def finish(
     found = records_of((row for row in plan.runs(tables.runs) if row.name in ways), setups)
     for path in (out / RECORDS, *([Path(records)] if records else [])):
         number = write_records(path, found)
-        print(f"{path}: {number} records; python simulate.py … tolerance=… choice.records={path} goes by them")
+        goes_by = override("choice.records", path)
+        print(f"{path}: {number} records; python simulate.py … tolerance=… {goes_by} goes by them")
         made.append(path)
     if publish:
         Path(publish).mkdir(parents=True, exist_ok=True)

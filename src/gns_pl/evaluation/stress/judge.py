@@ -16,8 +16,12 @@ from gns_pl.io.atomic import write_atomically
 SOLVERS = ("learned", "mpm")
 
 
-def stress_from_settings(settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def stress_from_settings(settings: Mapping[str, Any], label: str = "") -> dict[str, dict[str, Any]]:
     """Run the suite as conf/evaluation/stress.yaml says.
+
+    Args:
+        settings: the config as plain values.
+        label: what tells this job from the others of a sweep, a folder in that of the suite; "" for none.
 
     Returns:
         Name of what was stressed → numbers of its scenes, its failures, and those within its data.
@@ -37,7 +41,7 @@ def stress_from_settings(settings: Mapping[str, Any]) -> dict[str, dict[str, Any
         out = default_folder(wanted, checkpoints).parent / "stress"
     else:
         out = Path("runs/mpm/stress")
-    out = Path(settings["out"]) if settings["out"] else out
+    out = (Path(settings["out"]) if settings["out"] else out) / label
     if suite["figures"]:
         check_figures()
     logger = {**settings["logger"]}

@@ -10,15 +10,20 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.survey import survey_dataset
+from gns_pl.errors import InputError
 from gns_pl.frame_simulator import simulator_config
-from gns_pl.generation import DatasetSpec, chosen_every, generate_dataset, is_imported, resolved_data
+from gns_pl.generation import DatasetSpec, chosen_every, generate_dataset, is_imported, missing_bytes, resolved_data
 from gns_pl.generation.records import first_difference
 from gns_pl.io import MANIFEST_NAME, Manifest, read_manifest
+from gns_pl.text import override
 from gns_pl.training.advice import report
 from gns_pl.training.advice.numbers import compute_advice
 from gns_pl.training.advice.suggestions import suggest
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.train import check_model, choose_features
+
+LARGE = 1e8
+"""Data sets of more bytes are not generated for the sake of advice."""
 
 
 def advise(cfg: DictConfig, output: Path) -> Path:
@@ -56,18 +61,25 @@ def advise(cfg: DictConfig, output: Path) -> Path:
 
 
 def find_dataset(data: Mapping[str, Any]) -> Path:
-    """Return the folder of a data set: the one there, whatever made it, or one generated now.
+    """Return the folder of a data set: the one there, whatever made it, or one generated now if it is small.
 
     Args:
         data: conf/data as plain values.
 
     Raises:
-        InputError: as `generate_dataset`.
+        InputError: as `generate_dataset`, or data that are not there and large.
     """
     root = Path(data["root"])
     for place in (root / f"every_{chosen_every(data)}", root):
         if (place / MANIFEST_NAME).is_file():
             return place
+    size = missing_bytes(data)
+    if size > LARGE:
+        typed = f"{override('data', data['name'])} {override('data.root', root)}"
+        raise InputError(
+            f"{root}: the data are not there, and advice is about data; to generate them, {size / 1e9:.2g} GB, type "
+            f"python generate.py {typed}, which shows how long it takes."
+        )
     return generate_dataset(data, device="auto")
 
 

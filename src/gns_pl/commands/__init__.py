@@ -1,0 +1,8 @@
+"""What every command does before and after its work: read what was typed, refuse what is no key, tell what went wrong.
+
+The commands themselves are the files at the root. Nothing of simulation, training or evaluation belongs here.
+"""
+
+from gns_pl.commands.command import job, start, sweep_label
+
+__all__ = ["job", "start", "sweep_label"]
