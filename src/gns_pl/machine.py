@@ -17,7 +17,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 NEAREST = "gns_pl.nearest"
@@ -70,17 +70,25 @@ def provide_home() -> None:
         getpass.getuser()
     except (KeyError, OSError):  # no such entry in the password file, nor a variable that names the user
         os.environ["LOGNAME"] = f"uid{os.getuid()}"
-    home = os.path.expanduser("~")
-    if os.path.isabs(home) and os.access(home, os.W_OK | os.X_OK):
+    home = _home_folder()
+    if home is not None and os.access(home, os.W_OK | os.X_OK):
         return
     folder = private_folder()
     if folder is None:
         return
-    if not os.path.isabs(home):
+    if home is None:
         os.environ["HOME"] = str(folder)
         return
     for variable in ("WANDB_DATA_DIR", "WANDB_CACHE_DIR", "TRITON_CACHE_DIR", "MPLCONFIGDIR"):
         os.environ.setdefault(variable, str(folder / variable.partition("_")[0].lower()))
+
+
+def _home_folder() -> Path | None:
+    try:
+        home = Path.home()
+    except RuntimeError:
+        return None
+    return home if home.is_absolute() else None
 
 
 def private_folder() -> Path | None:
@@ -115,9 +123,9 @@ def code_folder(preferred: Path) -> Path | None:
     """
     import numba
 
-    chosen, home = numba.config.CACHE_DIR, os.path.expanduser("~")
+    chosen, home = numba.config.CACHE_DIR, _home_folder()
     folders = [Path(chosen)] if chosen else []
-    folders += [preferred, *([Path(home, ".cache", "gns_pl")] if os.path.isabs(home) else [])]
+    folders += [preferred, *([home / ".cache" / "gns_pl"] if home else [])]
     return next((folder for folder in folders if is_writable(folder)), private_folder())
 
 
@@ -139,11 +147,11 @@ def compile_function(function: F, subfolder: str = "", **options: Any) -> F:
     # Read when the decorator runs, so it can be put back at once.
     numba.config.CACHE_DIR = str(folder / subfolder) if folder is not None else ""
     try:
-        made = numba.njit(cache=folder is not None, **options)(function)
+        made: Any = numba.njit(cache=folder is not None, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
     made._cache._guard_against_spurious_io_errors = _compile_anew
-    return made
+    return cast(F, made)
 
 
 @contextlib.contextmanager

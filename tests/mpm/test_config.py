@@ -9,8 +9,8 @@ import numba
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.mpm import COURANT_LIMIT, simulate
 from gns_pl.machine import code_folder
+from gns_pl.mpm import COURANT_LIMIT, simulate
 from gns_pl.mpm.compiled import SUBFOLDER, compiled
 from gns_pl.scene import Body
 from tests.mpm.conftest import make_box, make_mpm

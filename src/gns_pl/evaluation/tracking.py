@@ -5,11 +5,12 @@ from __future__ import annotations
 import functools
 import math
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
 from gns_pl.errors import InputError
 from gns_pl.machine import provide_home
@@ -18,11 +19,12 @@ if TYPE_CHECKING:
     from gns_pl.evaluation.stress.runs import Row
 
 P = ParamSpec("P")
-MODES = {"disabled": "disabled", "offline": "offline", "dryrun": "offline"}
+Mode = Literal["disabled", "offline", "online"]
+MODES: dict[str, Mode] = {"disabled": "disabled", "offline": "offline", "dryrun": "offline"}
 """Values of WANDB_MODE that ask for less than `logger.offline` does; the others leave it to that."""
 
 
-def wandb_mode(offline: bool) -> str:
+def wandb_mode(offline: bool) -> Mode:
     """Return W&B's mode: "disabled", "offline" or "online".
 
     Args:
@@ -39,11 +41,21 @@ def wandb_mode(offline: bool) -> str:
 
 
 def unless_disabled(log: Callable[P, Path]) -> Callable[P, list[Path]]:
-    """Return a function that logs and gives the run's folder in a list, or an empty one where W&B is switched off."""
+    """Return a function that logs and gives the run's folder in a list.
+
+    The list is empty where W&B is switched off, and where its own files cannot be written: results are on disk by then,
+    and no log is worth losing the command that made them.
+    """
 
     @functools.wraps(log)
     def log_or_not(*args: P.args, **kwargs: P.kwargs) -> list[Path]:
-        return [] if wandb_mode(True) == "disabled" else [log(*args, **kwargs)]
+        if wandb_mode(True) == "disabled":
+            return []
+        try:
+            return [log(*args, **kwargs)]
+        except OSError as error:
+            print(f"W&B could not write its files ({error}); the results are on disk without.", file=sys.stderr)
+            return []
 
     return log_or_not
 

@@ -9,8 +9,8 @@ of its own with files and manifest, a data set like any other.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -74,14 +74,26 @@ def generate_dataset(
     records.check_folder(folder, dataset)
     records.make_folder(folder)
     talk = GenerationProgress(dataset.name, {}, 1, enabled=progress)
-    with locked(folder / ".lock", lambda: talk.say(f"{folder}: another process is generating it; waiting for it.")) as held:
+    waiting = f"{folder}: another process is generating it; waiting for it."
+    with locked(folder / ".lock", lambda: talk.say(waiting)) as held:
         if not records.is_finished(folder, dataset):
             records.claim_folder(folder, dataset)
-            for stored in {folder, *records.stored_folders(folder, dataset).values()}:
-                if held:
-                    remove_temporary_files(stored)
-            _generate(folder, dataset, plan, jobs, num_workers, progress)
+            folders = {folder, *records.stored_folders(folder, dataset).values()} if held else ()
+            with _without_leftovers(folders):
+                _generate(folder, dataset, plan, jobs, num_workers, progress)
     return wanted
+
+
+@contextmanager
+def _without_leftovers(folders: Collection[Path]) -> Iterator[None]:
+    """Remove what killed processes left half-written, before and after; also those ended because the disk is full."""
+    for folder in folders:
+        remove_temporary_files(folder)
+    try:
+        yield
+    finally:
+        for folder in folders:
+            remove_temporary_files(folder)
 
 
 def _job(folder: Path, dataset: DatasetSpec, planned: Planned, spacing: float, device: str) -> Job:
@@ -136,8 +148,6 @@ def _generate(
             if name in work:
                 told.finish(name)
     stored = records.stored_folders(folder, dataset)
-    for place in stored.values():
-        remove_temporary_files(place)  # of processes ended because the disk is full
     records.write_failures(folder, failures)
     _raise_failures(folder, failures, len(plan))
     for every, place in stored.items():
