@@ -13,9 +13,10 @@ from omegaconf import OmegaConf
 from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.training.loggers import make_loggers
 from gns_pl.training.module import learning_rate_factor
 from gns_pl.training.resume import find_resume
-from gns_pl.training.train import make_loggers, statistics, train
+from gns_pl.training.train import statistics, train
 from tests.conftest import make_simulator
 from tests.training.conftest import make_config, rows
 

@@ -24,11 +24,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
-from gns_pl.evaluation.tracking import wandb_mode
 from gns_pl.frame_simulator import FrameSimulator, simulator_config
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.machine import provide_home
+from gns_pl.nn import in_float32
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
 from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
@@ -37,6 +37,7 @@ from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
 from gns_pl.training.distillation import Elder
+from gns_pl.training.loggers import make_loggers
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
 from gns_pl.training.seen import measure_seen
@@ -44,6 +45,7 @@ from gns_pl.training.seen import measure_seen
 PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
 
 
+@in_float32
 def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     """Generate the data where they are missing, train a simulator on them, and return its last checkpoint.
 
@@ -138,23 +140,6 @@ def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal)
             raise InputError(str(error.__cause__)) from error
         raise
     return trainer
-
-
-def make_loggers(cfg: DictConfig) -> list[Logger]:
-    """Return the loggers of conf/logger; W&B's as WANDB_MODE allows.
-
-    Raises:
-        InputError: WANDB_MODE is none of W&B's modes.
-    """
-    loggers: list[Logger] = []
-    for logger in cfg.values():
-        if not OmegaConf.is_config(logger):
-            continue
-        if not logger._target_.endswith(".WandbLogger"):
-            loggers.append(instantiate(logger))
-        elif (mode := wandb_mode(bool(logger.offline))) != "disabled":
-            loggers.append(instantiate(logger, offline=mode == "offline"))
-    return loggers
 
 
 def announce(
