@@ -103,7 +103,7 @@ def test_statistics_and_corrections_are_the_same(drop: Scene, double: Any) -> No
     moments = []
     for dtype in (np.float32, np.float64):
         seen = RunningStatistics(3)
-        seen.add(values.astype(np.float32).astype(dtype))
+        seen.update(values.astype(np.float32).astype(dtype))
         moments.append(seen.to_dict())
         double()
     assert moments[0]["mean"] == pytest.approx(moments[1]["mean"], rel=1e-6)

@@ -90,7 +90,7 @@ def read_records(path: Path) -> list[Record]:
         InputError: no such file, or another table.
     """
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         types = {"int": int, "float": float, "str": str}
         return [Record(**{each.name: types[str(each.type)](row[each.name]) for each in fields(Record)}) for row in rows]
