@@ -30,13 +30,12 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
     return state
 
 
-def test_a_resumed_run_equals_an_uninterrupted_one(data_root: Path, tmp_path: Path) -> None:
-    whole = train(make_config(data_root, tmp_path / "whole"), tmp_path / "whole", None)
+def test_a_resumed_run_equals_an_uninterrupted_one(data_root: Path, whole_run: Path, tmp_path: Path) -> None:
     cut = make_config(data_root, tmp_path / "cut", "trainer.max_steps=4")
     train(cut, tmp_path / "cut", None)
     resumed = make_config(data_root, tmp_path / "cut")
     train(resumed, tmp_path / "cut", find_resume("auto", tmp_path / "cut"))
-    expected, got = weights(whole), weights(tmp_path / "cut" / "last.ckpt")
+    expected, got = weights(whole_run / "last.ckpt"), weights(tmp_path / "cut" / "last.ckpt")
     assert expected.keys() == got.keys()
     for name, value in expected.items():
         assert torch.equal(value, got[name]), name
