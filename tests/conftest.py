@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+import torch.multiprocessing
 
 from gns_pl.graph import Draws, Static
 from gns_pl.scene import Material, Scene, Wall, column_collapse, cube_drop, fill_scene
@@ -28,6 +31,12 @@ MPM: dict[str, Any] = {
 """Settings of a run but for its cells."""
 
 SAND = Material(density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30, cohesion=100)
+
+
+def start_processes(work: Callable[..., None], arguments: tuple[Any, ...], number: int) -> None:
+    """Call `work(rank, *arguments)` in processes of their own, forked from one that has imported what takes seconds."""
+    multiprocessing.set_forkserver_preload(["gns_pl.training.train"])
+    torch.multiprocessing.start_processes(work, arguments, nprocs=number, start_method="forkserver")
 
 
 @pytest.fixture

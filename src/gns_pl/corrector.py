@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
 from gns_pl.io import atomic_path
-from gns_pl.nn import EncodeProcessDecode
+from gns_pl.nn import EncodeProcessDecode, in_float32
 
 KEY = "gns_pl_corrector"
 FORMAT_VERSION = 1
@@ -75,6 +75,7 @@ class Corrector(nn.Module):
     velocity_scale: Tensor
     correction_scale: Tensor
 
+    @in_float32
     def __init__(self, config: CorrectorConfig) -> None:
         super().__init__()
         self.config = config
@@ -101,7 +102,9 @@ class Corrector(nn.Module):
             predicted: where it has brought the points [N, D] [m].
             static: the scenes.
         """
-        config = self.config
+        config, dtype = self.config, self.velocity_scale.dtype
+        before, position, predicted = (each.to(dtype) for each in (before, position, predicted))
+        static = static.in_precision(dtype)
         velocity = (predicted - position) / config.interval
         edge_index = radius_graph(predicted, config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
         node = node_features(

@@ -26,6 +26,7 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features
+from gns_pl.nn import in_float32
 from gns_pl.simulator import Simulator, SimulatorConfig
 
 EDGE_UPDATES = ("residual", "legacy_doubling")
@@ -78,6 +79,7 @@ class FrameSimulator(Simulator):
     acceleration_std: Tensor
     config: FrameConfig
 
+    @in_float32
     def __init__(self, config: FrameConfig) -> None:
         super().__init__(config)
         self.types = nn.Embedding(config.num_types, config.type_size)

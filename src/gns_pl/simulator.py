@@ -16,7 +16,8 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
-from gns_pl.nn import EncodeProcessDecode, PairNetwork
+from gns_pl.graph.features import in_precision
+from gns_pl.nn import EncodeProcessDecode, PairNetwork, in_float32
 
 OUTPUTS = ("acceleration", "gated", "held", "pairs")
 AGGREGATIONS = ("sum", "mean")
@@ -70,12 +71,8 @@ class SimulatorConfig:
     def __post_init__(self) -> None:
         object.__setattr__(self, "particle_types", tuple(self.particle_types))
         object.__setattr__(self, "material_features", tuple(self.material_features))
-        for name, least in (
-            ("input_sequence_length", 2),
-            ("latent_size", 1),
-            ("num_mlp_layers", 1),
-            ("num_message_passing_steps", 0),
-        ):
+        lowest = {"input_sequence_length": 2, "latent_size": 1, "num_mlp_layers": 1, "num_message_passing_steps": 0}
+        for name, least in lowest.items():
             if getattr(self, name) < least:
                 raise InputError(f"model.{name} must be at least {least}, not {getattr(self, name)}.")
         for name in ("dt", "spacing", "connectivity_radius"):
@@ -126,6 +123,7 @@ class Simulator(nn.Module):
     acceleration_scale: Tensor
     material_scale: Tensor
 
+    @in_float32
     def __init__(self, config: SimulatorConfig) -> None:
         super().__init__()
         self.config = config
@@ -311,10 +309,11 @@ class Simulator(nn.Module):
         return torch.where(static.moved[:, None], position, history[:, -1])
 
     def forward(self, history: Tensor, static: Static) -> Tensor:
-        """Return the positions one step later [N, D] [m].
+        """Return the positions one step later [N, D] [m], in the weights' precision.
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
             static: the scenes.
         """
+        history, static = in_precision(history, static, self.velocity_scale.dtype)
         return self.integrate(history, self.normalised_acceleration(history, static), static)

@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.fields import MATERIAL_FEATURES
+from gns_pl.fields import FIELDS, MATERIAL_FEATURES
 from gns_pl.scene import Particles, Scene
 
 
 @dataclass(frozen=True)
 class Trajectory:
     """Positions of N particles in T frames, and what does not change with time.
+
+    Arrays, lists and tensors of other types become arrays of the types of `fields`, in which they are stored.
 
     Attributes:
         position: [T, N, D] [m], float32; frame k is at time k · dt.
@@ -42,6 +44,9 @@ class Trajectory:
     provenance: dict[str, object]
 
     def __post_init__(self) -> None:
+        for field in FIELDS:
+            object.__setattr__(self, field.name, np.asarray(getattr(self, field.name), dtype=field.dtype))
+        object.__setattr__(self, "dt", float(self.dt))
         if self.position.ndim != 3 or self.position.shape[2] != self.scene.dim:
             raise InputError(f"trajectory: position must be [T, N, {self.scene.dim}], not {self.position.shape}.")
         number = self.position.shape[1]

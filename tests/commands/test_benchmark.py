@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gns_pl.evaluation.chart.rows import Tables
-from tests.commands.test_train import ROOT
+from tests.commands.in_process import ROOT, call
 
 TINY = [
     "choice.learned=[]",
@@ -35,7 +35,7 @@ TINY = [
 ]
 
 
-def call(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def process(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "benchmark.py"), *arguments]
     environment = {**os.environ, **environment}
     return subprocess.run(
@@ -55,20 +55,20 @@ def call(folder: Path, *arguments: str, **environment: str) -> subprocess.Comple
 def test_refusals_are_one_sentence_and_leave_nothing_behind(
     arguments: tuple[str, ...], message: str, tmp_path: Path
 ) -> None:
-    done = call(tmp_path, *arguments)
+    done = call(tmp_path, "benchmark.py", *arguments)
     assert done.returncode == 2
     assert done.stderr.strip().startswith(f"benchmark.py: {message}")
     assert len(done.stderr.strip().splitlines()) == 1 and not list(tmp_path.iterdir())
 
 
 def test_a_missing_checkpoint_is_refused_before_torch_is_imported(tmp_path: Path) -> None:
-    done = call(tmp_path, "ckpt=nowhere.ckpt", PYTHONPROFILEIMPORTTIME="1")
+    done = process(tmp_path, "ckpt=nowhere.ckpt", PYTHONPROFILEIMPORTTIME="1")
     assert "omegaconf" in done.stderr
     assert not any(line.endswith((" torch", " wandb")) for line in done.stderr.splitlines())
 
 
 def test_the_smallest_chart_is_measured_once_and_drawn_twice(tmp_path: Path) -> None:
-    done = call(tmp_path, *TINY)
+    done = call(tmp_path, "benchmark.py", *TINY)
     assert done.returncode == 0, done.stderr
     out = tmp_path / "runs" / "benchmark"
     assert "[7/7]" in done.stdout and "Made:" in done.stdout
@@ -86,6 +86,6 @@ def test_the_smallest_chart_is_measured_once_and_drawn_twice(tmp_path: Path) -> 
     assert len(list((out / "wandb").glob("offline-run-*"))) == 1
     assert len(Tables(out).runs) == 7  # two are handed over between MPM and what comes with the package
     (out / "chart.svg").unlink()
-    again = call(tmp_path, "from_table=true", "logger.enabled=false")
+    again = process(tmp_path, "from_table=true", "logger.enabled=false")
     assert again.returncode == 0, again.stderr
     assert "[1/" not in again.stdout and (out / "chart.svg").exists()

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from gns_pl.io import read_trajectory, verify_dataset
+from tests.commands.in_process import call
 
 DOOR = Path(__file__).parents[2] / "generate.py"
 SMALL = [
@@ -42,9 +43,9 @@ def test_makes_a_data_set_where_the_user_is_and_nothing_else(tmp_path: Path) -> 
     assert len(manifest.files) == 2
     trajectory = read_trajectory(tmp_path / "datasets" / "tiny" / "trajectory_0000.h5")
     assert trajectory.num_frames == 6
-    again = run(tmp_path, *SMALL)
+    again = call(tmp_path, "generate.py", *SMALL)
     assert (again.returncode, again.stderr) == (0, "")
-    other = run(tmp_path, *SMALL, "data.seed=3")
+    other = call(tmp_path, "generate.py", *SMALL, "data.seed=3")
     assert other.returncode == 2
     assert other.stderr == (
         "generate.py: datasets/tiny: holds another data set (seed is 0 there and 3 is asked for); "
@@ -54,7 +55,9 @@ def test_makes_a_data_set_where_the_user_is_and_nothing_else(tmp_path: Path) -> 
 
 def test_a_fine_set_has_a_folder_for_every_spacing(tmp_path: Path) -> None:
     few = [f"data.families.cube_drop.{setting}" for setting in ("count=2", "valid=1", "test=0", "duration=0.02")]
-    done = run(tmp_path, "data=cube106_fine", "data.mpm.cell_size=0.125", *few, "num_workers=1", "device=cpu")
+    done = call(
+        tmp_path, "generate.py", "data=cube106_fine", "data.mpm.cell_size=0.125", *few, "num_workers=1", "device=cpu"
+    )
     assert done.returncode == 0, done.stderr
     assert "GB, every 2 and every 4) by 1 process." in done.stderr
     for every in (2, 4):
@@ -75,7 +78,7 @@ def test_a_fine_set_has_a_folder_for_every_spacing(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_input_is_one_sentence(tmp_path: Path, arguments: list[str], sentence: str) -> None:
-    done = run(tmp_path, *SMALL, *arguments)
+    done = call(tmp_path, "generate.py", *SMALL, *arguments)
     assert done.returncode == 2
     assert done.stderr.startswith("generate.py: ")
     assert sentence in done.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,8 @@ import torch
 
 from gns_pl.checkpoint import load_checkpoint, load_simulator
 from gns_pl.io import read_manifest, read_trajectory
-from tests.commands.test_train import ROOT, read_rows
+from tests.commands.in_process import ROOT, call
+from tests.commands.test_train import read_rows
 from tests.conversion.test_weights import a_state, random_weights
 from tests.io.convert import fixtures
 
@@ -26,8 +26,7 @@ SMALL = [
 
 
 def door(folder: Path, name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / name), *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=280)
+    return call(folder, name, *arguments)
 
 
 def with_obstacle(dim: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -15,9 +15,9 @@ import torch
 
 from gns_pl.checkpoint import load_checkpoint
 from gns_pl.training.summary import read_summary
+from tests.commands.in_process import ROOT, call
 from tests.training.conftest import TINY, assert_same
 
-ROOT = Path(__file__).parents[2]
 ONE_FAMILY = [f"data.families.cube_drop.{setting}" for setting in ("count=3", "duration=0.2", "valid=1", "test=0")]
 
 
@@ -38,7 +38,7 @@ def finish(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
 
 
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return finish(start(folder, *arguments))
+    return call(folder, "train.py", *arguments)
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
@@ -55,7 +55,7 @@ def tiny(*more: str) -> list[str]:
 
 
 def test_train_again_and_sweep(tmp_path: Path) -> None:
-    first = run(tmp_path, *tiny())
+    first = finish(start(tmp_path, *tiny()))
     assert first.returncode == 0, first.stderr
     last = tmp_path / "runs/quickstart/last.ckpt"
     assert "evaluate.py ckpt=" in first.stdout and load_checkpoint(last).provenance["steps"] == 6
@@ -138,7 +138,7 @@ def test_killed_anywhere_and_resumed_it_ends_where_an_uninterrupted_run_does(tmp
         assert finish(killed).returncode == -9
         before = torch.load(folders["killed"] / "last.ckpt", weights_only=True)["global_step"]
         assert 0 < before < 100
-        resumed = run(tmp_path, *arguments, "hydra.run.dir=killed")
+        resumed = finish(start(tmp_path, *arguments, "hydra.run.dir=killed"))
         assert resumed.returncode == 0, resumed.stderr
         assert finish(whole).returncode == 0
     finally:
@@ -151,7 +151,7 @@ def test_killed_anywhere_and_resumed_it_ends_where_an_uninterrupted_run_does(tmp
 
 @pytest.mark.slow
 def test_two_devices(tmp_path: Path) -> None:
-    result = run(tmp_path, *tiny("trainer.devices=2", "trainer.accelerator=cpu"))
+    result = finish(start(tmp_path, *tiny("trainer.devices=2", "trainer.accelerator=cpu")))
     assert result.returncode == 0, result.stderr
     assert result.stdout.count("To judge its last state:") == 1 and "6 steps on cpu and 1 more" in result.stdout
     output = tmp_path / "runs/quickstart"

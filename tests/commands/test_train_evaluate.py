@@ -4,24 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
-from tests.commands.test_train import ROOT, run, tiny
+from tests.commands.in_process import call
+from tests.commands.test_train import run, tiny
 
 
 def evaluate(folder: Path, *arguments: str) -> dict[str, Any]:
-    command = [
-        sys.executable,
-        str(ROOT / "evaluate.py"),
-        *arguments,
-        "evaluation.duration=1.5",
-        "evaluation.placements=1",
-        "logger.enabled=false",
-    ]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    quick = ("evaluation.duration=1.5", "evaluation.placements=1", "logger.enabled=false")
+    done = call(folder, "evaluate.py", *arguments, *quick)
     assert done.returncode == 0, done.stderr
     assert "metrics.json" in done.stdout
     document: dict[str, Any] = json.loads(next(folder.rglob("metrics.json")).read_text())

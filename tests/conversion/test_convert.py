@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
 from gns_pl.io import StorageError, read_manifest, read_trajectory, verify_dataset
 from gns_pl.io.convert import open_set
+from tests.commands.in_process import call
 from tests.conftest import SAND
 from tests.io.convert import fixtures
 from tests.io.convert.fixtures import falling
@@ -358,17 +360,14 @@ def test_the_report_says_what_a_source_is(geoelements: Path, tmp_path: Path) -> 
 
 
 def test_the_door(geoelements: Path, tmp_path: Path) -> None:
-    root = Path(__file__).parents[2]
-
-    def door(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, str(root / "convert.py"), *arguments]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
-
+    root, door = Path(__file__).parents[2], partial(call, tmp_path, "convert.py")
     refused = door("source=theirs", "target=datasets/ours")
     assert refused.returncode == 2 and "trust=true" in refused.stderr and "Traceback" not in refused.stderr
     told = door("source=theirs", "inspect=true", "trust=true")
     assert told.returncode == 0 and "nothing is missing" in told.stdout and not (tmp_path / "datasets").exists()
-    made = door("source=theirs", "target=datasets/ours", "trust=true", "types={6:5}", "name=mine", "spacing=0.1")
+    asked = ["source=theirs", "target=datasets/ours", "trust=true", "types={6:5}", "name=mine", "spacing=0.1"]
+    command = [sys.executable, str(root / "convert.py"), *asked]
+    made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert made.returncode == 0, made.stderr
     manifest = read_manifest(tmp_path / "datasets/ours")
     assert manifest.particle_types == (3, 5) and manifest.name == "mine" and manifest.spacing == 0.1

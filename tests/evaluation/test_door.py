@@ -12,13 +12,14 @@ import pytest
 from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.evaluation.doors import default_folder, named_checkpoints
 from gns_pl.pretrained import FOLDER
+from tests.commands.in_process import call
 from tests.conftest import make_simulator
 from tests.evaluation.test_scenes import DATA
 
 DOOR = Path(__file__).parents[2] / "evaluate.py"
 
 
-def call(folder, *arguments, **environment):
+def process(folder, *arguments, **environment):
     return subprocess.run(
         [sys.executable, str(DOOR), *arguments],
         cwd=folder,
@@ -42,7 +43,7 @@ def call(folder, *arguments, **environment):
 )
 def test_refusals_are_one_sentence_and_leave_nothing_behind(tmp_path, arguments, message) -> None:
     (tmp_path / "foreign.ckpt").write_text("not a checkpoint")
-    done = call(tmp_path, *arguments)
+    done = call(tmp_path, "evaluate.py", *arguments)
     assert done.returncode == 2
     assert done.stderr.strip().startswith(f"evaluate.py: {message}")
     assert len(done.stderr.strip().splitlines()) == 1
@@ -50,7 +51,7 @@ def test_refusals_are_one_sentence_and_leave_nothing_behind(tmp_path, arguments,
 
 
 def test_a_missing_checkpoint_is_refused_before_torch_is_imported(tmp_path) -> None:
-    done = call(tmp_path, "ckpt=nowhere.ckpt", PYTHONPROFILEIMPORTTIME="1")
+    done = process(tmp_path, "ckpt=nowhere.ckpt", PYTHONPROFILEIMPORTTIME="1")
     assert "omegaconf" in done.stderr
     assert not any(line.endswith((" torch", " matplotlib", " wandb")) for line in done.stderr.splitlines())
 
@@ -85,7 +86,7 @@ def test_a_whole_run_from_two_folders_gives_the_same_numbers(tmp_path) -> None:
             shutil.copy(tmp_path / "here" / "a.ckpt", tmp_path / "there" / "a.ckpt")
         else:
             save_checkpoint(tmp_path / "here" / "a.ckpt", Checkpoint(simulator, data, {}))
-        done = call(tmp_path / folder, "ckpt=a.ckpt", *settings)
+        done = process(tmp_path / folder, "ckpt=a.ckpt", *settings)
         assert done.returncode == 0, done.stderr
         made = tmp_path / folder / "evaluation"
         assert {"table.md", "report.html", "column_2.0.gif", "runout_height.pdf"} <= {

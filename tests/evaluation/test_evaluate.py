@@ -1,6 +1,8 @@
 """A whole evaluation: a real simulator, untrained, against a made-up reference."""
 
+import errno
 import json
+import os
 import shutil
 from dataclasses import replace
 
@@ -14,6 +16,7 @@ from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation import evaluate as module
 from gns_pl.evaluation import references as module_references
+from gns_pl.evaluation import tracking
 from gns_pl.evaluation.curves import CURVES, compute_curves, cut, read_curves
 from gns_pl.evaluation.evaluate import evaluate_all
 from gns_pl.evaluation.figures import of_columns
@@ -315,6 +318,48 @@ def test_an_offline_wandb_run_needs_no_account(checkpoint, tmp_path, monkeypatch
     kinds = {path.suffix for path in folder.rglob("media/**/*") if path.is_file()}
     assert kinds == {".png", ".gif", ".json"}
     assert list(folder.glob("*.wandb")) and not (tmp_path / "wandb").exists()
+
+
+def test_wandb_is_switched_off_by_its_own_variable(checkpoint, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("WANDB_MODE", "disabled")
+    run(checkpoint, tmp_path, only=["short"], logger={"offline": False, "project": "test"})
+    assert (tmp_path / "out" / "metrics.json").is_file() and not (tmp_path / "out" / "wandb").exists()
+
+
+@pytest.mark.parametrize(
+    ("variable", "offline", "mode"),
+    [
+        (None, True, "offline"),
+        (None, False, "online"),
+        ("disabled", False, "disabled"),
+        ("offline", False, "offline"),
+        ("dryrun", False, "offline"),
+        ("online", True, "offline"),
+        ("online", False, "online"),
+    ],
+)
+def test_the_variable_of_wandb_may_only_ask_for_less(variable, offline, mode, monkeypatch) -> None:
+    monkeypatch.delenv("WANDB_MODE", raising=False)
+    if variable is not None:
+        monkeypatch.setenv("WANDB_MODE", variable)
+    assert tracking.wandb_mode(offline) == mode
+    monkeypatch.setenv("WANDB_MODE", "of")
+    with pytest.raises(InputError, match="WANDB_MODE=of: W&B knows online, offline and disabled"):
+        tracking.wandb_mode(offline)
+
+
+def test_what_wandb_cannot_write_costs_no_result(checkpoint, tmp_path, monkeypatch, capsys) -> None:
+    """Its tables go through a folder of its own, which may lie on a file system that cannot sync."""
+
+    def refuse(*args: object) -> None:
+        raise OSError(errno.EINVAL, "Invalid argument")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    run(checkpoint, tmp_path, only=["short"], logger={"offline": True, "project": "test"})
+    assert "W&B could not write its files ([Errno 22] Invalid argument)" in capsys.readouterr().err
+    import wandb
+
+    assert wandb.run is None and (tmp_path / "out" / "metrics.json").is_file()
 
 
 def test_other_refusals(checkpoint, tmp_path, monkeypatch) -> None:

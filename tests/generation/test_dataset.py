@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import threading
 from pathlib import Path
@@ -256,3 +257,25 @@ def test_two_workers_and_the_real_solver_give_what_one_worker_gives(tmp_path: Pa
     two = generate_dataset(json.loads(json.dumps(spec)), root=tmp_path / "two", num_workers=2, progress=False)
     assert sums(one) == sums(two)
     assert read_trajectory(one / "trajectory_0000.h5").provenance["solver"] == "gns_pl.mpm"
+
+
+def test_a_file_system_without_locks_and_sync_takes_the_same_set(
+    root: Path, faked: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What another process may be writing there is left alone, for nobody can tell whether it is at work."""
+
+    def refuse(*args: object) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    for name in ("os.fsync", "fcntl.flock", "fcntl.lockf"):
+        monkeypatch.setattr(name, refuse)
+    other = tmp_path / "other"
+    other.mkdir()
+    part = other / ".trajectory_0000.h5.1-abcd.part"
+    part.touch()
+    capsys.readouterr()
+    generate_dataset(make_spec(), root=other, num_workers=1, progress=False)
+    assert sums(other) == sums(root) and part.exists()
+    assert capsys.readouterr().err == (
+        f"{other}: its file system has no locks (Function not implemented); let one process at a time write there.\n"
+    )

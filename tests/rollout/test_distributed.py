@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 import torch
 import torch.distributed as dist
-import torch.multiprocessing
 
 from gns_pl.graph import radius_graph
 from gns_pl.rollout import rollout
 from gns_pl.rollout.distributed import SlabSimulator, cut_slabs
 from gns_pl.scene import FACES, Wall, column_collapse
 from gns_pl.trajectory import Trajectory
-from tests.conftest import SAND, make_simulator, make_start
+from tests.conftest import SAND, make_simulator, make_start, start_processes
 
 RADIUS = 0.11
 
@@ -56,7 +55,7 @@ def step_together(rank: int, size: int, meeting: str, settings: dict[str, Any], 
 @pytest.mark.parametrize(("settings", "compiled"), [({"context": True}, True), ({"aggregation": "mean"}, False)])
 def test_two_processes_make_the_rollout_of_one(settings: dict[str, Any], compiled: bool, tmp_path: Path) -> None:
     arguments = (2, str(tmp_path / "meeting"), settings, compiled, str(tmp_path / "frames"))
-    torch.multiprocessing.spawn(step_together, arguments, nprocs=2)
+    start_processes(step_together, arguments, 2)
     start = wide_column()
     alone = rollout(make_simulator(output="gated", **settings), start, 6).position
     first, second = (np.load(tmp_path / f"frames-{rank}.npy") for rank in range(2))

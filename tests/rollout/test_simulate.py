@@ -21,9 +21,9 @@ from gns_pl.rollout import rollout
 from gns_pl.rollout.rest import STEPS
 from gns_pl.rollout.simulate import simulate, start_of
 from gns_pl.scene import Scene, write_scene
+from tests.commands.in_process import ROOT, call
 from tests.conftest import make_simulator
 
-ROOT = Path(__file__).parents[2]
 DATA = {"mpm": {"jitter": 0.6}, "store_every": [3]}
 
 
@@ -164,9 +164,7 @@ def test_two_scenes_of_one_name(ckpt: Path, drop: Scene, tmp_path: Path) -> None
     ],
 )
 def test_bad_input_is_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "simulate.py", *arguments, f"out={tmp_path}"], cwd=ROOT, capture_output=True, text=True
-    )
+    done = call(ROOT, "simulate.py", *arguments, f"out={tmp_path}")
     assert done.returncode == 2 and sentence in done.stderr and len(done.stderr.strip().splitlines()) == 1
 
 
@@ -185,11 +183,11 @@ def test_a_scene_at_rest_ends_and_says_so(
 
 def test_a_scene_of_the_catalogue_by_a_tolerance(tmp_path: Path) -> None:
     """As a user types it: the choice is explained, then run; what is said of the scene follows its keys."""
-    command = [sys.executable, "simulate.py", "scene=column_collapse", "scene.aspect_ratio=1.5", "tolerance=0.2"]
+    command = ["scene=column_collapse", "scene.aspect_ratio=1.5", "tolerance=0.2"]
     command += ["scene.side_walls={condition:slip}", f"out={tmp_path / 'out'}"]
 
     def said(*more: str) -> str:
-        done = subprocess.run([*command, *more], cwd=ROOT, capture_output=True, text=True, check=False)
+        done = call(ROOT, "simulate.py", *command, *more)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

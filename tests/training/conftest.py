@@ -12,6 +12,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from gns_pl.training.train import train
+
 FAMILIES = {
     "cube_drop": {
         "count": 3,
@@ -48,6 +50,23 @@ TINY = [
 @pytest.fixture(scope="session")
 def data_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data") / "tiny"
+
+
+@pytest.fixture(autouse=True)
+def _few_windows_seen(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a network saw takes half the time of such trainings: fewer windows are looked at where it is not tested."""
+    if request.module.__name__ != "tests.training.test_seen":
+        monkeypatch.setattr("gns_pl.training.seen.WINDOWS", 20)
+
+
+@pytest.fixture(scope="session")
+def whole_run(data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a training of TINY that nothing has interrupted; nobody writes into it."""
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gns_pl.training.seen.WINDOWS", 20)
+        train(make_config(data_root, folder), folder, None)
+    return folder
 
 
 def make_config(data_root: Path, output: Path, *overrides: str) -> DictConfig:

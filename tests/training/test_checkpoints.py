@@ -141,3 +141,17 @@ def test_a_folder_has_one_run_at_a_time(tmp_path: Path) -> None:
         other.communicate()
     with alone_in(tmp_path):  # a lock goes with its process, however that ended
         assert not leftover.exists()
+
+
+def test_a_file_system_without_locks_takes_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*args: object) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr("fcntl.lockf", refuse)
+    leftover = tmp_path / ".last.ckpt.123-abc.part"
+    leftover.touch()
+    with alone_in(tmp_path):
+        assert leftover.exists()  # it may be another one's
+    assert f"{tmp_path}: its file system has no locks" in capsys.readouterr().err

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 import torch
-import torch.multiprocessing as mp
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from lightning.pytorch import Callback, LightningModule, Trainer
@@ -20,6 +19,7 @@ from omegaconf import DictConfig
 from gns_pl.errors import InputError
 from gns_pl.training.devices import check_devices
 from gns_pl.training.train import train
+from tests.conftest import start_processes
 from tests.training.conftest import make_config, rows
 
 HERE = "tests.training.test_devices"
@@ -97,7 +97,7 @@ def test_two_processes_equal_one(tmp_path: Path) -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     runs = {two: [], apart: [f"+trainer.strategy._target_={HERE}.Unaveraged"]}
-    mp.spawn(work, (port, data_root, runs), nprocs=2)
+    start_processes(work, (port, data_root, runs), 2)
 
     alone, first, second = load(one, 0), load(two, 0), load(two, 1)
     assert [a + b for a, b in zip(first["particles"], second["particles"], strict=True)] == alone["particles"]

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.training.loggers import make_loggers
 from gns_pl.training.module import learning_rate_factor
 from gns_pl.training.resume import find_resume
 from gns_pl.training.train import statistics, train
@@ -28,13 +30,12 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
     return state
 
 
-def test_a_resumed_run_equals_an_uninterrupted_one(data_root: Path, tmp_path: Path) -> None:
-    whole = train(make_config(data_root, tmp_path / "whole"), tmp_path / "whole", None)
+def test_a_resumed_run_equals_an_uninterrupted_one(data_root: Path, whole_run: Path, tmp_path: Path) -> None:
     cut = make_config(data_root, tmp_path / "cut", "trainer.max_steps=4")
     train(cut, tmp_path / "cut", None)
     resumed = make_config(data_root, tmp_path / "cut")
     train(resumed, tmp_path / "cut", find_resume("auto", tmp_path / "cut"))
-    expected, got = weights(whole), weights(tmp_path / "cut" / "last.ckpt")
+    expected, got = weights(whole_run / "last.ckpt"), weights(tmp_path / "cut" / "last.ckpt")
     assert expected.keys() == got.keys()
     for name, value in expected.items():
         assert torch.equal(value, got[name]), name
@@ -203,3 +204,25 @@ def test_statistics_are_root_mean_squares_with_gravity_and_noise() -> None:
     assert plain == pytest.approx({"velocity": math.sqrt(12.5), "acceleration": 1.0})
     noisy = statistics(moments, 0.1, 9.0, 0.2)
     assert noisy == pytest.approx({"velocity": math.sqrt(12.5 + 4), "acceleration": math.sqrt(1 + 400)})
+
+
+@pytest.mark.parametrize(("mode", "offline"), [(None, True), ("offline", True), ("dryrun", True), ("disabled", None)])
+def test_wandb_does_as_its_variable_says(
+    mode: str | None, offline: bool | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("WANDB_MODE", raising=False)
+    if mode is not None:
+        monkeypatch.setenv("WANDB_MODE", mode)
+    settings = {
+        "offline": mode is None,
+        "csv": {"_target_": "lightning.pytorch.loggers.CSVLogger", "save_dir": str(tmp_path)},
+        "wandb": {
+            "_target_": "lightning.pytorch.loggers.WandbLogger",
+            "save_dir": str(tmp_path),
+            "offline": "${offline}",
+        },
+    }
+    loggers = make_loggers(OmegaConf.create(settings))
+    assert [type(logger).__name__ for logger in loggers] == ["CSVLogger", "WandbLogger"][: 1 if offline is None else 2]
+    if offline is not None:
+        assert loggers[1]._offline is offline  # type: ignore[attr-defined]

@@ -22,6 +22,7 @@ from gns_pl.commands.help import help_text
 from gns_pl.commands.known import check_known
 from gns_pl.commands.telling import general_sentence, sentence
 from gns_pl.errors import InputError, told_plainly
+from gns_pl.machine import prepare_process
 from gns_pl.text import file_label
 
 FULL_ERROR = "HYDRA_FULL_ERROR"
@@ -38,6 +39,7 @@ def start(main: Callable[[], Any], config_name: str) -> None:
     Raises:
         SystemExit: status 2 after a sentence on stderr, for all that a user can mend.
     """
+    prepare_process()
     file = Path(inspect.getfile(inspect.unwrap(main))).resolve()
     config = file.parent / "conf" / f"{config_name}.yaml"
     typed = sys.argv[1:]

@@ -9,9 +9,8 @@ of its own with files and manifest, a data set like any other.
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from gns_pl.generation.progress import GenerationProgress
 from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
 from gns_pl.generation.thinning import stored_counts
 from gns_pl.io import SPLITS, Manifest, StorageError, remove_temporary_files, write_manifest
+from gns_pl.io.atomic import free_bytes
 from gns_pl.io.manifest import MANIFEST_VERSION
 from gns_pl.scene.extent import compression_notice, largest_own_weight_strain
 
@@ -75,12 +75,13 @@ def generate_dataset(
     records.check_folder(folder, dataset)
     records.make_folder(folder)
     talk = GenerationProgress(dataset.name, {}, 1, enabled=progress)
-    with locked(folder / ".lock", lambda: talk.say(f"{folder}: another process is generating it; waiting for it.")):
+    waiting = f"{folder}: another process is generating it; waiting for it."
+    with locked(folder / ".lock", lambda: talk.say(waiting)) as held:
         if not records.is_finished(folder, dataset):
             records.claim_folder(folder, dataset)
-            for stored in {folder, *records.stored_folders(folder, dataset).values()}:
-                remove_temporary_files(stored)
-            _generate(folder, dataset, plan, jobs, num_workers, progress)
+            folders = {folder, *records.stored_folders(folder, dataset).values()} if held else ()
+            with _without_leftovers(folders):
+                _generate(folder, dataset, plan, jobs, num_workers, progress)
     return wanted
 
 
@@ -96,6 +97,18 @@ def missing_bytes(spec: Mapping[str, Any]) -> int:
     dataset, folder = DatasetSpec.from_dict(spec), Path(spec["root"])
     spacing = solver.solver_config(dataset.mpm).spacing
     return sum(_job(folder, dataset, planned, spacing, "cpu").missing_bytes() for planned in draw_plan(dataset))
+
+
+@contextmanager
+def _without_leftovers(folders: Collection[Path]) -> Iterator[None]:
+    """Remove what killed processes left half-written, before and after; also those ended because the disk is full."""
+    for folder in folders:
+        remove_temporary_files(folder)
+    try:
+        yield
+    finally:
+        for folder in folders:
+            remove_temporary_files(folder)
 
 
 def _job(folder: Path, dataset: DatasetSpec, planned: Planned, spacing: float, device: str) -> Job:
@@ -154,8 +167,6 @@ def _generate(
             if name in work:
                 told.finish(name)
     stored = records.stored_folders(folder, dataset)
-    for place in stored.values():
-        remove_temporary_files(place)  # of processes ended because the disk is full
     records.write_failures(folder, failures)
     _raise_failures(folder, failures, len(plan))
     for every, place in stored.items():
@@ -182,7 +193,7 @@ def _announcement(folder: Path, dataset: DatasetSpec, jobs: Sequence[Job], worke
 
 
 def _check_space(folder: Path, size: float) -> None:
-    free = shutil.disk_usage(folder).free
+    free = free_bytes(folder)
     if size > free:
         raise StorageError(f"{folder}: needs about {size / 1e9:.2g} GB, and only {free / 1e9:.2g} GB are free there.")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import torch
 from torch import Tensor
@@ -48,6 +48,12 @@ class Static:
         """Return the same on another device."""
         return Static(**{each.name: getattr(self, each.name).to(device) for each in fields(self) if each.init})
 
+    def in_precision(self, dtype: torch.dtype) -> Static:
+        """Return the same with its numbers in another precision; this very object if they are in it."""
+        floats = {each.name: getattr(self, each.name) for each in fields(self) if each.init}
+        wrong = {name: value for name, value in floats.items() if value.is_floating_point() and value.dtype != dtype}
+        return replace(self, **{name: value.to(dtype) for name, value in wrong.items()}) if wrong else self
+
     def of_particles(self, value: Tensor) -> Tensor:
         """Return what holds for every particle's scene [N, …], of one scene [1, …] (broadcast: N copies cost time).
 
@@ -66,6 +72,11 @@ class Static:
             with torch.inference_mode(False), torch.no_grad():  # so that a later step may have gradients
                 self._grids[cell] = ContextGrid.of(self.lower, self.upper, cell)
         return self._grids[cell]
+
+
+def in_precision(history: Tensor, static: Static, dtype: torch.dtype) -> tuple[Tensor, Static]:
+    """Return what a step is made from in the precision of the weights that make it."""
+    return history.to(dtype), static.in_precision(dtype)
 
 
 REACH = 4.0

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
 from gns_pl.inverse.deposit import deposit_misfit, deposit_thickness
 from gns_pl.rollout import static_of
 from gns_pl.rollout.gradient import differentiable_rollout
@@ -67,7 +66,7 @@ class Problem:
             num_steps: fewer or more than those of the problem.
         """
         kind, sets, start = self.simulator.velocity_scale.dtype, len(unknowns), self.start
-        static = _in_precision(static_of(*[start] * sets), kind)
+        static = static_of(*[start] * sets).in_precision(kind)
         friction, along = unknowns.to(kind).repeat_interleave(start.num_particles, dim=0).unbind(dim=1)
         material = list(static.material.unbind(dim=1))
         material[start.material_features.index(FRICTION)] = friction
@@ -141,8 +140,3 @@ class ByDifferences:
         here, ahead, behind = torch.split(misfits, [1, len(shifts), len(shifts)])
         self.num_rollouts += len(points)
         return float(here), ((ahead - behind) / (2 * torch.tensor(self.steps, dtype=here.dtype))).numpy()
-
-
-def _in_precision(static: Static, kind: torch.dtype) -> Static:
-    floats = ("material", "volume", "lower", "upper", "gravity")
-    return replace(static, **{name: getattr(static, name).to(kind) for name in floats})

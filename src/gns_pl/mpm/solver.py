@@ -58,7 +58,7 @@ def simulate(
         raise InputError(f"mpm: device must be one of {', '.join(DEVICES)}, not {device!r}.")
     if device == "cuda":
         return simulate_batch([scene], config, frame_interval=frame_interval, seeds=[seed], on_frame=on_frame)[0]
-    particles, plan = _start(scene, config, frame_interval, seed)
+    particles, plan = _start(scene, config, float(frame_interval), seed)
     state = make_state(scene, particles, plan.grid, config)
     setting = make_setting(scene, plan.grid, config, plan.dt)
     frames = np.empty((plan.num_frames, len(particles.position), scene.dim), dtype=np.float32)

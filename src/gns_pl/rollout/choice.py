@@ -98,7 +98,7 @@ def read_records(path: Path) -> list[Record]:
         InputError: no such file, or another table.
     """
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         types = {"int": int, "float": float, "str": str}
         # A column with a default is missing in older tables.

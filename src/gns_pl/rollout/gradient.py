@@ -32,7 +32,7 @@ def differentiable_rollout(
     Weights, positions, velocities and `static.material` can; e.g. tan φ is a material feature.
 
     Args:
-        simulator: makes one step.
+        simulator: makes one step; its weights' precision is the rollout's, whatever that of the input is.
         position: first frame [N, D] [m].
         velocity: of the first frame [N, D] [m/s].
         static: the scenes.
@@ -43,7 +43,8 @@ def differentiable_rollout(
     Returns:
         [num_steps + 1, N, D] [m].
     """
-    config = simulator.config
+    config, dtype = simulator.config, simulator.velocity_scale.dtype
+    position, velocity, static = position.to(dtype), velocity.to(dtype), static.in_precision(dtype)
     before = torch.arange(config.input_sequence_length - 1, -1, -1, dtype=position.dtype, device=position.device)
     history = position[:, None] - before[:, None] * (velocity * config.dt)[:, None]
     frames = [position]

@@ -73,7 +73,7 @@ def _free_bytes(device: torch.device) -> int | None:
     if device.type == "cuda":
         return int(torch.cuda.mem_get_info(device)[0])
     try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
+        lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return None  # not Linux
     return next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable")), None)

@@ -31,6 +31,7 @@ from gns_pl.generation import chosen_every, generate_dataset
 from gns_pl.generation.lock import locked
 from gns_pl.io import manifest_sha256, read_manifest, read_trajectory
 from gns_pl.mpm import SimulationError
+from gns_pl.nn import in_float32
 from gns_pl.rollout import static_of
 from gns_pl.rollout.correction import corrected_run, followed_run
 from gns_pl.scene import fill_scene
@@ -251,6 +252,7 @@ def fit_corrector(settings: Mapping[str, Any], output: Path) -> Path:
         return _fit(settings, output)
 
 
+@in_float32
 def _fit(settings: Mapping[str, Any], output: Path) -> Path:
     quieten()
     lightning.seed_everything(settings["seed"], verbose=False)

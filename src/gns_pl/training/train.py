@@ -27,6 +27,8 @@ from gns_pl.errors import InputError
 from gns_pl.frame_simulator import FrameSimulator, simulator_config
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
+from gns_pl.machine import provide_home
+from gns_pl.nn import in_float32
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
 from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
@@ -35,6 +37,7 @@ from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
 from gns_pl.training.distillation import Elder
+from gns_pl.training.loggers import make_loggers
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
 from gns_pl.training.seen import measure_seen
@@ -42,6 +45,7 @@ from gns_pl.training.seen import measure_seen
 PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
 
 
+@in_float32
 def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     """Generate the data where they are missing, train a simulator on them, and return its last checkpoint.
 
@@ -58,6 +62,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     """
     quieten()
     keep_freed_memory()
+    provide_home()  # before W&B and torch look for it
     os.environ.setdefault("WANDB_SILENT", "true")  # it would print a page; where its run is, is told below
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     training = TrainingConfig.from_dict(settings["training"])
@@ -125,7 +130,7 @@ def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal)
         trainer: Trainer = instantiate(
             cfg.trainer,
             callbacks=[*configured, stop, StopAtNonFinite(output)],
-            logger=[instantiate(logger) for logger in cfg.logger.values() if OmegaConf.is_config(logger)],
+            logger=make_loggers(cfg.logger),
             plugins=[AtomicCheckpointIO()],
             use_distributed_sampler=False,  # the data module shares windows and trajectories itself
             val_check_interval=min(cfg.trainer.val_check_interval, steps),
