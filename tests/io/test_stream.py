@@ -123,7 +123,7 @@ def test_a_full_disk_is_one_sentence_and_keeps_the_frames(
     stream = TrajectoryStream(tmp_path / "a.h5", moving)
     stream.append(moving.position[:50])
     full = SimpleNamespace(free=2**20)
-    monkeypatch.setattr("gns_pl.io.stream.shutil.disk_usage", lambda path: full)
+    monkeypatch.setattr("shutil.disk_usage", lambda path: full)
     with pytest.raises(StorageError, match=r"a\.h5\.growing: the disk is full; make room"):
         stream.append(moving.position)  # more than a chunk
     stream.close()

@@ -10,7 +10,8 @@ import pytest
 
 from gns_pl.errors import InputError
 from gns_pl.mpm import COURANT_LIMIT, simulate
-from gns_pl.mpm.compiled import _FOLDER, compiled
+from gns_pl.machine import code_folder
+from gns_pl.mpm.compiled import SUBFOLDER, compiled
 from gns_pl.scene import Body
 from tests.mpm.conftest import make_box, make_mpm
 
@@ -67,5 +68,6 @@ def test_the_cache_is_named_by_the_sources_and_numba_is_left_as_it_was() -> None
     function = compiled(_twice)
     assert before == numba.config.CACHE_DIR
     assert function(2.0) == 4.0
-    assert Path(_FOLDER).name.startswith("mpm-")
-    assert any(Path(_FOLDER).rglob("*_twice*.nbi"))
+    folder = code_folder(Path(__file__).parent / "__pycache__")
+    assert folder is not None and SUBFOLDER.startswith("mpm-")
+    assert any((folder / SUBFOLDER).rglob("*_twice*.nbi"))

@@ -78,7 +78,8 @@ def evaluate_all(
     print("Made:", *(file for each in files.values() for file in each), path, sep="\n  ")
     for name, document in documents.items():
         if logger is not None:
-            print(f"  {tracking.log_evaluation(document, [*files[name], path], out=folders[name], **logger)}")
+            for folder in tracking.log_evaluation(document, [*files[name], path], out=folders[name], **logger):
+                print(f"  {folder}")
         logs = sorted(checkpoints[name].parent.glob("csv/*/metrics.csv"))
         if logs:
             print("The training's own log:", *logs, sep="\n  ")

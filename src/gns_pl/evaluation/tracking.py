@@ -2,19 +2,53 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 from gns_pl.errors import InputError
+from gns_pl.machine import provide_home
 
 if TYPE_CHECKING:
     from gns_pl.evaluation.stress.runs import Row
 
+P = ParamSpec("P")
+MODES = {"disabled": "disabled", "offline": "offline", "dryrun": "offline"}
+"""Values of WANDB_MODE that ask for less than `logger.offline` does; the others leave it to that."""
 
+
+def wandb_mode(offline: bool) -> str:
+    """Return W&B's mode: "disabled", "offline" or "online".
+
+    Args:
+        offline: what the settings say. WANDB_MODE may switch W&B off or keep it on this disk, but nothing is sent
+            because of it.
+
+    Raises:
+        InputError: WANDB_MODE is none of W&B's modes.
+    """
+    value = os.environ.get("WANDB_MODE", "").strip().lower()
+    if value not in (*MODES, "", "online", "run", "shared"):
+        raise InputError(f"WANDB_MODE={value}: W&B knows online, offline and disabled.")
+    return MODES.get(value, "offline" if offline else "online")
+
+
+def unless_disabled(log: Callable[P, Path]) -> Callable[P, list[Path]]:
+    """Return a function that logs and gives the run's folder in a list, or an empty one where W&B is switched off."""
+
+    @functools.wraps(log)
+    def log_or_not(*args: P.args, **kwargs: P.kwargs) -> list[Path]:
+        return [] if wandb_mode(True) == "disabled" else [log(*args, **kwargs)]
+
+    return log_or_not
+
+
+@unless_disabled
 def log_evaluation(
     document: Mapping[str, Any], files: Sequence[Path], *, out: Path, offline: bool, project: str
 ) -> Path:
@@ -51,6 +85,7 @@ def log_evaluation(
         return Path(run.dir).parent
 
 
+@unless_disabled
 def log_chart(
     points: Sequence[Any], figure: Path, caption: str, *, command: str, out: Path, offline: bool, project: str
 ) -> Path:
@@ -82,6 +117,7 @@ def log_chart(
         return Path(run.dir).parent
 
 
+@unless_disabled
 def log_stress(rows: Sequence[Row], files: Sequence[Path], *, out: Path, offline: bool, project: str) -> Path:
     """Log the rows of the stress suite and its figure; the rest as `log_evaluation`.
 
@@ -117,7 +153,9 @@ def _finite(value: Any) -> Any:
 
 
 @contextmanager
-def started(job_type: str, config: Mapping[str, Any], *, out: Path, offline: bool, project: str) -> Iterator[Any]:
+def started(
+    job_type: str, config: Mapping[str, Any], *, out: Path, offline: bool, project: str, **more: Any
+) -> Iterator[Any]:
     """Give a W&B run, and close it whatever happens.
 
     Args:
@@ -126,10 +164,13 @@ def started(job_type: str, config: Mapping[str, Any], *, out: Path, offline: boo
         out: folder under which W&B puts its own folder.
         offline: keep the run on this disk.
         project: W&B project.
+        **more: of `wandb.init`.
 
     Raises:
         InputError: W&B refuses to start, as it does online without an account. The results are on disk by then.
     """
+    mode = wandb_mode(offline)
+    provide_home()
     import wandb
 
     try:
@@ -137,9 +178,10 @@ def started(job_type: str, config: Mapping[str, Any], *, out: Path, offline: boo
             project=project,
             job_type=job_type,
             dir=str(out),
-            mode="offline" if offline else "online",
+            mode=mode,
             config=dict(config),
             settings=wandb.Settings(silent=True, console="off"),
+            **more,
         )
     except wandb.errors.Error as error:
         raise InputError(

@@ -9,7 +9,6 @@ of its own with files and manifest, a data set like any other.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -26,6 +25,7 @@ from gns_pl.generation.progress import GenerationProgress
 from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
 from gns_pl.generation.thinning import stored_counts
 from gns_pl.io import SPLITS, Manifest, StorageError, remove_temporary_files, write_manifest
+from gns_pl.io.atomic import free_bytes
 from gns_pl.io.manifest import MANIFEST_VERSION
 
 NOTEWORTHY_BYTES = 100_000_000
@@ -74,11 +74,12 @@ def generate_dataset(
     records.check_folder(folder, dataset)
     records.make_folder(folder)
     talk = GenerationProgress(dataset.name, {}, 1, enabled=progress)
-    with locked(folder / ".lock", lambda: talk.say(f"{folder}: another process is generating it; waiting for it.")):
+    with locked(folder / ".lock", lambda: talk.say(f"{folder}: another process is generating it; waiting for it.")) as held:
         if not records.is_finished(folder, dataset):
             records.claim_folder(folder, dataset)
             for stored in {folder, *records.stored_folders(folder, dataset).values()}:
-                remove_temporary_files(stored)
+                if held:
+                    remove_temporary_files(stored)
             _generate(folder, dataset, plan, jobs, num_workers, progress)
     return wanted
 
@@ -163,7 +164,7 @@ def _announcement(folder: Path, dataset: DatasetSpec, jobs: Sequence[Job], worke
 
 
 def _check_space(folder: Path, size: float) -> None:
-    free = shutil.disk_usage(folder).free
+    free = free_bytes(folder)
     if size > free:
         raise StorageError(f"{folder}: needs about {size / 1e9:.2g} GB, and only {free / 1e9:.2g} GB are free there.")
 

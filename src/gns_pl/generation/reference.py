@@ -71,9 +71,10 @@ def reference_trajectory(
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{directory}: cannot be made ({error.strerror}).") from error
-    with locked(directory / f".{path.stem}.lock"):
+    with locked(directory / f".{path.stem}.lock") as held:
         if not path.exists():
-            remove_temporary_files(directory, path.name)
+            if held:
+                remove_temporary_files(directory, path.name)
             write_trajectory(path, _run(scene, settings, frame_interval, seed, progress))
     (directory / f".{path.stem}.lock").unlink(missing_ok=True)
     return _cached(path, scene)

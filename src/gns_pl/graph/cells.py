@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable
@@ -11,8 +12,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.machine import compile_function
+
 F = TypeVar("F", bound=Callable[..., Any])
-_compiled: Callable[[F], F] = numba.njit(cache=True, nogil=True)
+_compiled: Callable[[F], F] = functools.partial(compile_function, nogil=True)
 _inlined: Callable[[F], F] = numba.njit(nogil=True, inline="always")
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import math
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +14,10 @@ from pathlib import Path
 from gns_pl.errors import InputError
 
 TEMPORARY_SUFFIX = ".part"
+
+CANNOT_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF, errno.EISDIR, errno.EACCES}
+"""What a file system says that has no such thing as syncing this file or folder: network shares, FUSE, a folder into
+which one may write without listing it. None of them says that content was lost, as EIO, ENOSPC and EDQUOT do."""
 
 
 class StorageError(InputError):
@@ -56,9 +63,26 @@ def remove_temporary_files(directory: str | Path, name: str = "*") -> None:
 
 
 def sync(path: Path) -> None:
-    """Have a file, or the names in a folder, on the disk when this returns."""
-    descriptor = os.open(path, os.O_RDONLY)
+    """Have a file, or the names in a folder, on the disk when this returns, where the file system can do that.
+
+    Raises:
+        OSError: the content did not reach the disk.
+    """
     try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        if error.errno not in CANNOT_SYNC:
+            raise
+
+
+def free_bytes(folder: str | Path) -> float:
+    """Return the room that is left on the disk of a folder [bytes]; infinite where the file system does not know it."""
+    try:
+        usage = shutil.disk_usage(folder)
+    except OSError:
+        return math.inf
+    return usage.free if usage.free or usage.total else math.inf

@@ -8,7 +8,6 @@ which goes on copies what is there into a new one. Finished, the file takes its 
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.fields import FIELDS, POSITION
 from gns_pl.io import schema
-from gns_pl.io.atomic import StorageError, sync
+from gns_pl.io.atomic import StorageError, free_bytes, sync
 from gns_pl.io.hdf5 import (
     GROWING,
     LIBRARY,
@@ -84,7 +83,7 @@ class TrajectoryStream:
         waiting, self._waiting = self._waiting, []
         if waiting:
             # HDF5 does not survive a full disk, so it is not let near one.
-            if shutil.disk_usage(self.growing.parent).free < sum(frame.nbytes for frame in waiting) + ROOM:
+            if free_bytes(self.growing.parent) < sum(frame.nbytes for frame in waiting) + ROOM:
                 raise StorageError(f"{self.growing}: the disk is full; make room and go on from the frames in it.")
             with _told(self.growing):
                 value = self._file[_VALUE]

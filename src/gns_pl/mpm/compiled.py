@@ -18,25 +18,24 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
+
+from gns_pl.machine import compile_function
 
 FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 """Everything of fastmath that keeps NaN and infinity meaningful: a failed run must be seen to fail."""
 
 
-def _cache_folder() -> Path:
-    """Folder of compiled code: in NUMBA_CACHE_DIR if that is set, else in this package's `__pycache__`."""
-    here = Path(__file__).parent
+def _subfolder() -> str:
+    """Name the folder of this room's compiled code."""
     digest = hashlib.sha256()
-    for source in sorted(here.glob("*.py")):
+    for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.name.encode() + source.read_bytes())
-    parent = Path(numba.config.CACHE_DIR or here / "__pycache__")
-    return parent / f"mpm-{digest.hexdigest()[:12]}"
+    return f"mpm-{digest.hexdigest()[:12]}"
 
 
-_FOLDER = _cache_folder()
+SUBFOLDER = _subfolder()
 
 
 def compiled(function: Callable[..., Any], name: str = "", *, parallel: bool = False) -> Any:
@@ -45,20 +44,13 @@ def compiled(function: Callable[..., Any], name: str = "", *, parallel: bool = F
     Every kernel is put into its callers whole. Left to choose, LLVM keeps some as functions, of which a process that
     has just compiled them and one that loads them from the cache run different code, and the last bits differ.
 
-    If the folder of the cache cannot be written, numba falls back on its own places.
-
     Args:
         function: to compile.
         name: of its variant; each has a folder of its own, since numba tells functions apart by their code alone.
         parallel: let `prange` run on several threads.
     """
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_FOLDER / name)  # read when the decorator runs, so it can be put back at once
-    try:
-        options = {"parallel": True} if parallel else {"forceinline": True}
-        return numba.njit(cache=True, nogil=True, fastmath=FASTMATH, **options)(function)
-    finally:
-        numba.config.CACHE_DIR = before
+    options = {"parallel": True} if parallel else {"forceinline": True}
+    return compile_function(function, f"{SUBFOLDER}/{name}", nogil=True, fastmath=FASTMATH, **options)
 
 
 def variant(

@@ -9,23 +9,24 @@ which receivers are shared out.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from gns_pl.machine import compile_function
 from gns_pl.nn.sorted_edges import SortedEdges
 
 Array = NDArray[np.float32]
 
 F = TypeVar("F", bound=Callable[..., Any])
-_compiled: Callable[[F], F] = numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy"
+_compiled: Callable[[F], F] = functools.partial(
+    compile_function, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy"
 )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -74,25 +73,23 @@ def alone_in(output: Path) -> Iterator[None]:
         InputError: another process is training there.
         StorageError: the disk refuses.
     """
+    from gns_pl.generation.lock import claim, open_lock
     from gns_pl.io import StorageError, remove_temporary_files
 
     try:
         output.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(output / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     except OSError as error:
         raise StorageError(f"{output}: cannot be written ({error.strerror}).") from error
+    descriptor = open_lock(output / ".lock")
     try:
         try:
-            # Not flock: loader processes would inherit that, and keep it a while after a `kill -9`.
-            fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except (BlockingIOError, PermissionError) as error:
+            # Loader processes must not inherit it, or they would keep it a while after a `kill -9`.
+            if claim(descriptor, output / ".lock", wait=False, inherited=False):
+                remove_temporary_files(output, "*.ckpt")
+        except BlockingIOError as error:
             raise InputError(
                 f"another train.py is at work in {output}; wait for it, or train in another folder (hydra.run.dir=…)."
             ) from error
-        except OSError:
-            pass  # a file system without locks
-        else:
-            remove_temporary_files(output, "*.ckpt")
         yield
     finally:
         os.close(descriptor)

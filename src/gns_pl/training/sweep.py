@@ -139,7 +139,7 @@ def report_sweep(folder: Path, *, name: str, tracking: dict[str, Any] | None) ->
     if tracking is not None:
         from gns_pl.training.sweep_tracking import log_sweep
 
-        files.append(log_sweep(jobs, files, folder=folder, group=group_name(str(folder)), **tracking))
+        files += log_sweep(jobs, files, folder=folder, group=group_name(str(folder)), **tracking)
     print("Made:", *files, sep="\n  ", flush=True)
     return files
 

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from gns_pl.evaluation.tracking import started, unless_disabled
 from gns_pl.training.sweep_table import Job, measured, swept_names
 
 
+@unless_disabled
 def log_sweep(
     jobs: Sequence[Job], files: Sequence[Path], *, folder: Path, group: str, project: str, offline: bool
 ) -> Path:
@@ -24,19 +26,13 @@ def log_sweep(
 
     Returns:
         Folder of the run.
+
+    Raises:
+        InputError: W&B refuses to start.
     """
     import wandb
 
-    run = wandb.init(
-        project=project,
-        group=group,
-        name=group,
-        job_type="sweep",
-        dir=str(folder),
-        mode="offline" if offline else "online",
-        settings=wandb.Settings(silent=True, console="off"),
-    )
-    try:
+    with started("sweep", {}, out=folder, offline=offline, project=project, group=group, name=group) as run:
         swept, names = swept_names(jobs), list(measured(jobs[0]))
         table = wandb.Table(columns=["job", *swept, "status", *names])
         for job in jobs:
@@ -47,5 +43,3 @@ def log_sweep(
         run.log({"jobs": table, **{f"{name}_figure": image for name, image in images.items()}})
         run.summary.update({"num_jobs": len(jobs), "num_failed": sum(job.status == "failed" for job in jobs)})
         return Path(run.dir).parent
-    finally:
-        wandb.finish()

@@ -24,9 +24,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
+from gns_pl.evaluation.tracking import wandb_mode
 from gns_pl.frame_simulator import FrameSimulator, simulator_config
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
+from gns_pl.machine import provide_home
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
 from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
@@ -58,6 +60,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     """
     quieten()
     keep_freed_memory()
+    provide_home()  # before W&B and torch look for it
     os.environ.setdefault("WANDB_SILENT", "true")  # it would print a page; where its run is, is told below
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     training = TrainingConfig.from_dict(settings["training"])
@@ -125,7 +128,7 @@ def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal)
         trainer: Trainer = instantiate(
             cfg.trainer,
             callbacks=[*configured, stop, StopAtNonFinite(output)],
-            logger=[instantiate(logger) for logger in cfg.logger.values() if OmegaConf.is_config(logger)],
+            logger=make_loggers(cfg.logger),
             plugins=[AtomicCheckpointIO()],
             use_distributed_sampler=False,  # the data module shares windows and trajectories itself
             val_check_interval=min(cfg.trainer.val_check_interval, steps),
@@ -135,6 +138,23 @@ def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal)
             raise InputError(str(error.__cause__)) from error
         raise
     return trainer
+
+
+def make_loggers(cfg: DictConfig) -> list[Logger]:
+    """Return the loggers of conf/logger; W&B's as WANDB_MODE allows.
+
+    Raises:
+        InputError: WANDB_MODE is none of W&B's modes.
+    """
+    loggers: list[Logger] = []
+    for logger in cfg.values():
+        if not OmegaConf.is_config(logger):
+            continue
+        if not logger._target_.endswith(".WandbLogger"):
+            loggers.append(instantiate(logger))
+        elif (mode := wandb_mode(bool(logger.offline))) != "disabled":
+            loggers.append(instantiate(logger, offline=mode == "offline"))
+    return loggers
 
 
 def announce(

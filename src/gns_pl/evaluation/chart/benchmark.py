@@ -129,6 +129,6 @@ def finish(
         made.append(path)
     if publish:
         Path(publish).mkdir(parents=True, exist_ok=True)
-        made += [Path(shutil.copy(out / name, Path(publish) / name)) for name in (PAGE, POINTS, *FIGURES)]
+        made += [Path(shutil.copyfile(out / name, Path(publish) / name)) for name in (PAGE, POINTS, *FIGURES)]
     print("Made:", *made, sep="\n  ")
     return made

@@ -60,5 +60,5 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     print(f"\n{under}\n")
     made = [out / PAGE, out / POINTS, *figures]
     if logger is not None:
-        made.append(tracking.log_chart(points, figures[0], under, command=plan.command, out=out, **logger))
+        made += tracking.log_chart(points, figures[0], under, command=plan.command, out=out, **logger)
     return made

@@ -129,7 +129,8 @@ def run_suite(
     print(report.summary_table(rows))
     print("Made:", *files, sep="\n  ")
     if logger is not None:
-        print(f"  {tracking.log_stress(rows, files, out=out, **logger)}")
+        for folder in tracking.log_stress(rows, files, out=out, **logger):
+            print(f"  {folder}")
     return {
         name: {
             "scenes": len(some),

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.io.convert.limits import check_memory
+from gns_pl.machine import compile_function
 
 _POLYNOMIAL = 0x82F63B78  # 1EDC6F41 with its bits reversed
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
@@ -29,8 +30,6 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 @functools.cache
 def _compiled() -> tuple[Callable[..., int], NDArray[np.uint32]]:
     """Return the loop over bytes and its table; compiled when first needed."""
-    from numba import njit
-
     table = np.arange(256, dtype=np.uint32)
     for _ in range(8):
         table = np.where(table & 1, (table >> 1) ^ np.uint32(_POLYNOMIAL), table >> 1).astype(np.uint32)
@@ -41,7 +40,7 @@ def _compiled() -> tuple[Callable[..., int], NDArray[np.uint32]]:
             value = table[(value ^ byte) & np.uint32(0xFF)] ^ (value >> np.uint32(8))
         return int(value ^ np.uint32(0xFFFFFFFF))
 
-    return njit(loop, cache=True), table
+    return compile_function(loop), table
 
 
 def crc32c(content: bytes | memoryview) -> int:
