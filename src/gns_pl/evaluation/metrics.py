@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from gns_pl.errors import InputError
 from gns_pl.evaluation import measures
 from gns_pl.evaluation.curves import Curves, Quantity, compute_curves, cut, mobile, num_finite_frames
 from gns_pl.trajectory import Trajectory, nearest_neighbour_distance
@@ -160,8 +161,10 @@ def rollout_errors(predicted: Trajectory, reference: Trajectory) -> dict[str, fl
         The entries of `ERRORS`, then the rollout's own `SUMMARY`.
 
     Raises:
-        InputError: different particles or time steps.
+        InputError: different particles or time steps, or a reference of one frame, which no rollout can miss.
     """
+    if reference.num_frames < 2:
+        raise InputError(f"{reference.scene.name}: has one frame, so there is no step to judge; choose longer ones.")
     finite = min(num_finite_frames(predicted), reference.num_frames)
     predicted, reference = mobile(cut(predicted, finite)), mobile(reference)
     squared = measures.position_mse(predicted, reference)

@@ -17,7 +17,7 @@ from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Checkpoint
 
 from gns_pl.errors import InputError
-from gns_pl.io.atomic import atomic_path, write_atomically
+from gns_pl.io.atomic import StorageError, atomic_path, write_atomically
 
 LAST, BEST, NUMBERED = "last.ckpt", "best.ckpt", "step*.ckpt"
 
@@ -82,10 +82,12 @@ class LastCheckpoint(Checkpoint):
         validated = validation_follows(trainer)
         if trainer.should_stop and not validated:
             trainer.limit_val_batches = 0  # or Lightning would validate where an uninterrupted run does not
-        if trainer.should_stop or validated or step % self.every_n_steps == 0 or step == trainer.max_steps:
+        if trainer.should_stop or (not validated and (step % self.every_n_steps == 0 or step == trainer.max_steps)):
             self._write(trainer)
-            if trainer.should_stop or not validated:
-                self._keep(trainer)
+            self._keep(trainer)
+        elif validated:
+            with suppress(StorageError):  # it would be told behind the validation, too
+                self._write(trainer)
         self._between_steps = True
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -154,11 +156,12 @@ class BestCheckpoint(Checkpoint):
         self.path = Path(directory) / BEST
         self.monitor = monitor
         self.least: float | None = None
+        self.step: int | None = None
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Begin anew where the folder has no best checkpoint, as one that a run is carried on in."""
         if not trainer.strategy.broadcast(self.path.is_file()):
-            self.least = None
+            self.least = self.step = None
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Save if there is none yet or this one is better."""
@@ -167,16 +170,23 @@ class BestCheckpoint(Checkpoint):
         value = float(trainer.callback_metrics.get(self.monitor, math.nan))
         value = math.inf if math.isnan(value) else value
         if self.least is None or value < self.least:
-            self.least = value
+            self.least, self.step = value, trainer.global_step
             trainer.save_checkpoint(self.path)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the least error so far."""
-        return {"least": self.least}
+        """Return the least error so far, and its step."""
+        return {"least": self.least, "step": self.step}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Go on from the least error of the run that is resumed."""
-        self.least = state_dict["least"]
+        self.least, self.step = state_dict["least"], state_dict.get("step")
+
+
+def best_checkpoint(trainer: Trainer) -> Path | None:
+    """Return the best checkpoint of this run, None without a validation; a file of another run does not count."""
+    callbacks = [each for each in trainer.callbacks if isinstance(each, BestCheckpoint)]  # type: ignore[attr-defined]
+    found = [each.path for each in callbacks if each.least is not None and each.path.is_file()]
+    return found[0] if found else None
 
 
 def newest_first(directory: Path) -> list[Path]:

@@ -19,27 +19,29 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import Trainer, seed_everything
-from lightning.pytorch.loggers import Logger
+from lightning.pytorch.callbacks import LearningRateMonitor, ProgressBar
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
-from gns_pl.errors import InputError
-from gns_pl.evaluation.tracking import wandb_mode
+from gns_pl.errors import InputError, tolerated
 from gns_pl.frame_simulator import FrameSimulator, simulator_config
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.machine import provide_home
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
-from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
+from gns_pl.training.checkpoints import LAST, AtomicCheckpointIO, best_checkpoint
 from gns_pl.training.clock import cost_of
 from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
 from gns_pl.training.distillation import Elder
+from gns_pl.training.launch import check_launch, cluster_environments
+from gns_pl.training.loggers import close_loggers, log_settings, make_loggers
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
 from gns_pl.training.seen import measure_seen
+from gns_pl.training.summary import SUMMARY_FILE
 
 PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
 
@@ -71,12 +73,15 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         print(f"{resume} has made its {steps} steps already; nothing is left to train.")
         return resume
     stop = StopAtSignal()
+    check_launch(cfg.trainer.devices, cfg.trainer.get("num_nodes") or 1)
     trainer = build_trainer(cfg, output, steps, stop)
     check_devices(trainer, training.batch_size)
     with together(trainer), alone_in(output) if is_rank_zero() else nullcontext():
         seed_everything(settings["seed"], workers=True, verbose=False)
         directory = find_dataset(settings["data"], progress=is_rank_zero())
         datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
+        if trainer.limit_val_batches:
+            datamodule.check_validation()
         module = build_module(settings, training, datamodule)
         try:
             if is_rank_zero():
@@ -93,20 +98,20 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
                 raise
             hint = f"; make room and go on: add {go_on(output)}" if (output / LAST).is_file() else ""
             raise StorageError(f"{str(error).rstrip('.')}{hint}") from error
+        except Exception as error:
+            if (output / LAST).is_file():
+                error.add_note(f"To go on from {output / LAST}, add {go_on(output)}")
+            raise
         finally:
-            try:
+            with tolerated(SUMMARY_FILE):
                 close_run(output, trainer, module, datamodule)
-            finally:
-                if "wandb" in settings["logger"] and is_rank_zero():
-                    import wandb
-
-                    wandb.finish()  # or the jobs of a sweep would merge into one run
+            close_loggers(trainer.loggers)
         if not is_rank_zero():
             raise SystemExit(0)  # the rest is done once
     if trainer.global_step < steps:
         print(f"Stopped after {trainer.global_step} of {steps} steps; to go on, add {go_on(output)}")
-    results = (output / LAST, output / BEST, *run_files(output), *sorted(output.glob("csv/*/metrics.csv")))
-    made = [*results, *sorted(output.glob("wandb/*run-*"))]
+    results = (output / LAST, best_checkpoint(trainer), *run_files(output), *sorted(output.glob("csv/*/metrics.csv")))
+    made = [*filter(None, results), *sorted(output.glob("wandb/*run-*")), *sorted(output.glob("tensorboard/*"))]
     print("Made:", *(path for path in made if path.exists()), sep="\n  ")
     return output / LAST
 
@@ -123,38 +128,28 @@ def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal)
     Raises:
         InputError: settings that Lightning refuses, such as more devices than there are.
     """
+    every = cfg.trainer.val_check_interval
     try:
+        loggers = make_loggers(cfg.get("logger"))
         configured = [instantiate(callback) for callback in cfg.callbacks.values()]
+        if not cfg.trainer.enable_progress_bar:
+            configured = [callback for callback in configured if not isinstance(callback, ProgressBar)]
+        if not loggers:
+            configured = [callback for callback in configured if not isinstance(callback, LearningRateMonitor)]
         trainer: Trainer = instantiate(
             cfg.trainer,
             callbacks=[*configured, stop, StopAtNonFinite(output)],
-            logger=make_loggers(cfg.logger),
-            plugins=[AtomicCheckpointIO()],
+            logger=loggers or False,
+            plugins=[AtomicCheckpointIO(), *cluster_environments()],
             use_distributed_sampler=False,  # the data module shares windows and trajectories itself
-            val_check_interval=min(cfg.trainer.val_check_interval, steps),
+            val_check_interval=min(every, steps) if isinstance(every, int) else steps if every is None else every,
+            default_root_dir=output,  # where Lightning looks for checkpoints of SLURM's jobs, of which there are none
         )
     except InstantiationException as error:
-        if isinstance(error.__cause__, MisconfigurationException | InputError):
+        if isinstance(error.__cause__, MisconfigurationException | ValueError):
             raise InputError(str(error.__cause__)) from error
         raise
     return trainer
-
-
-def make_loggers(cfg: DictConfig) -> list[Logger]:
-    """Return the loggers of conf/logger; W&B's as WANDB_MODE allows.
-
-    Raises:
-        InputError: WANDB_MODE is none of W&B's modes.
-    """
-    loggers: list[Logger] = []
-    for logger in cfg.values():
-        if not OmegaConf.is_config(logger):
-            continue
-        if not logger._target_.endswith(".WandbLogger"):
-            loggers.append(instantiate(logger))
-        elif (mode := wandb_mode(bool(logger.offline))) != "disabled":
-            loggers.append(instantiate(logger, offline=mode == "offline"))
-    return loggers
 
 
 def announce(
@@ -173,21 +168,8 @@ def announce(
         f"into {output}",
         flush=True,
     )
-
-
-def log_settings(loggers: Sequence[Logger], settings: dict[str, Any]) -> None:
-    """Write the resolved config to every logger, which starts them.
-
-    Raises:
-        InputError: W&B refuses to start, as it does online without an account.
-    """
-    import wandb
-
-    try:
-        for logger in loggers:
-            logger.log_hyperparams(settings)
-    except wandb.errors.Error as error:
-        raise InputError(f"W&B could not start ({error}); logger.offline=true needs no account.") from error
+    if not trainer.limit_val_batches or not datamodule.valid_names:
+        print("Nothing is held out for a validation, so there will be no best.ckpt; the result is last.ckpt.", flush=True)
 
 
 def choose_features(wanted: Sequence[str] | None, available: Sequence[str]) -> list[str]:
@@ -312,6 +294,8 @@ def statistics(moments: Mapping[str, Any], dt: float, gravity: float, noise_std:
 
 def material_scale(datamodule: TrajectoryDataModule, number: int) -> torch.Tensor:
     """Return mean and standard deviation of the first K = `number` material features [2, K]; 1 where constant."""
+    if not number:
+        return torch.empty(2, 0)
     material = torch.cat([constant["material"][:, :number] for constant in datamodule.train_set.constant]).double()
     deviation = material.std(dim=0, correction=0)
     return torch.stack([material.mean(dim=0), torch.where(deviation > 1e-9, deviation, 1.0)]).float()
@@ -322,7 +306,7 @@ def quieten() -> None:
     for library in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(library).setLevel(logging.WARNING)
     known = ["exists and is not empty", "does not have many workers", "LeafSpec", "weights_only", "not resumable"]
-    known += ["has `__len__` defined", "in eval mode at the start of training"]
+    known += ["has `__len__` defined", "in eval mode at the start of training", "across ranks is zero", "`srun` command"]
     for message in known:
         warnings.filterwarnings("ignore", f".*{message}")
     warnings.filterwarnings("ignore", category=DeprecationWarning)
