@@ -69,13 +69,14 @@ def draw_rollout(predicted: Trajectory, reference: Trajectory, *, curves: Path, 
         curves: file for the curves.
         deposit: file for the last frame.
     """
+    time_scale = characteristic_time(reference.scene)
     pair = {"MPM": reference, "learned": predicted}
     named = {name: compute_curves(flow) for name, flow in pair.items()}
     plot_curves({reference.scene.name: named}, ("runout", "height"), [curves])
     plot_evolution(
         {"learned": predicted, "MPM": reference},
         [deposit],
-        time_scale=characteristic_time(reference.scene),
+        time_scale=time_scale,
         times=[],
         diameter=particle_spacing(reference),
         pixels=600,
