@@ -18,7 +18,6 @@ from gns_pl.training import close, rollout_figure
 from gns_pl.training.summary import objective, read_summary
 from gns_pl.training.train import train
 from gns_pl.trajectory import Trajectory
-from tests.training import fake_logger
 from tests.training.conftest import FAMILIES, assert_same, make_config
 from tests.training.test_stopping import callback
 
@@ -126,7 +125,13 @@ class RaiseAt(Callback):
         self._raise(trainer, "end")
 
     def on_validation_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int, dataloader_idx: int = 0
+        self,
+        trainer: Trainer,
+        pl_module: LightningModule,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+        dataloader_idx: int = 0,
     ) -> None:
         self._raise(trainer, "validation")
 
@@ -216,7 +221,11 @@ def test_short_validations_are_left_out(folder: Path, tmp_path: Path, capsys: py
     manifest = read_manifest(root)
     [valid], short = manifest.splits["valid"], "short.h5"
     shutil.copyfile(root / valid, root / short)
-    edit(root, files={**manifest.files, short: manifest.files[valid]}, splits={**manifest.splits, "valid": (short, valid)})
+    edit(
+        root,
+        files={**manifest.files, short: manifest.files[valid]},
+        splits={**manifest.splits, "valid": (short, valid)},
+    )
     shortened(root, short, 1)
     alone, both = tmp_path / "alone", tmp_path / "both"
     train(imported(folder, alone), alone, None)
@@ -249,9 +258,7 @@ def test_a_folder_that_cannot_be_written_is_told(data_root: Path, tmp_path: Path
         train(make_config(data_root, output), output, None)
 
 
-def test_a_training_begins_without_warnings(
-    data_root: Path, tmp_path: Path, recwarn: pytest.WarningsRecorder
-) -> None:
+def test_a_training_begins_without_warnings(data_root: Path, tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
     """torch warns of the standard deviation of nothing: the data have no material features here."""
     train(make_config(data_root, tmp_path), tmp_path, None)
     assert not [str(each.message) for each in recwarn if issubclass(each.category, UserWarning)]

@@ -36,7 +36,9 @@ def group(folder: Path, *overrides: str) -> DictConfig | None:
 
 def test_wandb_has_what_is_set_and_nothing_that_it_warns_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WANDB_MODE", raising=False)
-    cfg = group(tmp_path, "logger.entity=lab", "logger.tags=[small,columns]", "logger.notes=a try", "logger.project=sand")
+    cfg = group(
+        tmp_path, "logger.entity=lab", "logger.tags=[small,columns]", "logger.notes=a try", "logger.project=sand"
+    )
     beside, run = make_loggers(cfg)
     assert isinstance(beside, CSVLogger) and isinstance(run, WandbRun)
     given = run._wandb_init
@@ -68,7 +70,9 @@ def test_other_groups(tmp_path: Path, override: str, kinds: list[type]) -> None:
 
 def test_tensorboard_is_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loggers, "find_spec", lambda name: None)
-    with pytest.raises(Exception, match=r"logger=tensorboard needs the package tensorboard \(pip install 'gns_pl\[") as e:
+    with pytest.raises(
+        Exception, match=r"logger=tensorboard needs the package tensorboard \(pip install 'gns_pl\["
+    ) as e:
         make_loggers(group(tmp_path, "logger=tensorboard"))
     assert isinstance(e.value.__cause__, InputError)  # `build_trainer` tells it
 

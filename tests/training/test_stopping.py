@@ -185,9 +185,7 @@ def _as_loader(ready: Any) -> None:
     time.sleep(60)
 
 
-def test_in_a_slurm_job_usr1_stops_the_run(
-    data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_in_a_slurm_job_usr1_stops_the_run(data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lightning would save into the working folder, ask for the job again, and begin every later run there."""
     slurm = {"JOB_ID": "77", "JOB_NAME": "night", "NTASKS": "1", "PROCID": "0", "LOCALID": "0", "NODEID": "0"}
     for name, value in slurm.items():

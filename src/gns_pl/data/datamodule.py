@@ -154,14 +154,14 @@ class TrajectoryDataModule(LightningDataModule):
         short = [name for name in listed if name not in kept]
         if short and not kept:
             raise InputError(
-                f"{self.directory}: no validation trajectory has the {self.stride + 1} frames of a step ({short[0]} has "
-                f"{self.manifest.files[short[0]].num_frames}); hold longer ones out, or train without a validation: "
-                "add trainer.limit_val_batches=0."
+                f"{self.directory}: no validation trajectory has the {self.stride + 1} frames of a step ({short[0]} "
+                f"has {self.manifest.files[short[0]].num_frames}); hold longer ones out, or train without a "
+                "validation: add trainer.limit_val_batches=0."
             )
         if short:
             print(
-                f"{len(short)} of {len(listed)} validation trajectories have fewer than the {self.stride + 1} frames of "
-                f"a step and are left out: {', '.join(short[:3])}{' …' if len(short) > 3 else ''}."
+                f"{len(short)} of {len(listed)} validation trajectories have fewer than the {self.stride + 1} frames "
+                f"of a step and are left out: {', '.join(short[:3])}{' …' if len(short) > 3 else ''}."
             )
 
     def _processes(self) -> tuple[int, int]:

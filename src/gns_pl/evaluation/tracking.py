@@ -88,7 +88,15 @@ def log_evaluation(
 
 @unless_disabled
 def log_chart(
-    points: Sequence[Any], figure: Path, caption: str, *, command: str, out: Path, offline: bool, project: str, **more: Any
+    points: Sequence[Any],
+    figure: Path,
+    caption: str,
+    *,
+    command: str,
+    out: Path,
+    offline: bool,
+    project: str,
+    **more: Any,
 ) -> Path:
     """Log a chart of speed against accuracy: figure, table of points, and time and error of each in the summary.
 

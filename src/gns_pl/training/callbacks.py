@@ -15,7 +15,6 @@ from gns_pl.errors import InputError
 from gns_pl.io.atomic import write_atomically
 from gns_pl.training.checkpoints import LAST
 
-
 ADVANCE_WARNINGS = ("SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGHUP")
 """Signals by which batch systems (`sbatch --signal=USR1`) and closing terminals announce an end; they end a process."""
 

@@ -15,8 +15,8 @@ from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import tolerated
 from gns_pl.evaluation.report import without_nan
 from gns_pl.io.atomic import write_atomically
-from gns_pl.training.clock import Clock
 from gns_pl.training.checkpoints import LAST, BestCheckpoint, best_checkpoint
+from gns_pl.training.clock import Clock
 from gns_pl.training.history import Floats, History, read_history
 from gns_pl.training.loggers import log_image
 from gns_pl.training.module import SimulatorModule

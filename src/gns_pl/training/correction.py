@@ -35,7 +35,7 @@ from gns_pl.rollout import static_of
 from gns_pl.rollout.correction import corrected_run, followed_run
 from gns_pl.scene import fill_scene
 from gns_pl.training.clock import Stopwatch, cost_of
-from gns_pl.training.train import quieten
+from gns_pl.training.trainer import quieten
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 if TYPE_CHECKING:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import errno
-import logging
 import math
 import os
 import subprocess
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from importlib.metadata import version
@@ -15,11 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
-from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import Trainer, seed_everything
-from lightning.pytorch.callbacks import LearningRateMonitor, ProgressBar
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
@@ -29,19 +23,20 @@ from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.machine import provide_home
 from gns_pl.nn.memory import keep_freed_memory
-from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
-from gns_pl.training.checkpoints import LAST, AtomicCheckpointIO, best_checkpoint
+from gns_pl.training.callbacks import StopAtSignal
+from gns_pl.training.checkpoints import LAST, best_checkpoint
 from gns_pl.training.clock import cost_of
 from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
 from gns_pl.training.distillation import Elder
-from gns_pl.training.launch import check_launch, cluster_environments
-from gns_pl.training.loggers import close_loggers, log_settings, make_loggers
+from gns_pl.training.launch import check_launch
+from gns_pl.training.loggers import close_loggers, log_settings
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
 from gns_pl.training.seen import measure_seen
 from gns_pl.training.summary import SUMMARY_FILE
+from gns_pl.training.trainer import build_trainer, quieten
 
 PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
 
@@ -116,42 +111,6 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     return output / LAST
 
 
-def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal) -> Trainer:
-    """Return the trainer with its loggers and callbacks; nothing is started yet.
-
-    Args:
-        cfg: the config of conf/train.yaml.
-        output: folder of this run.
-        steps: training steps in all.
-        stop: ends the training at a signal.
-
-    Raises:
-        InputError: settings that Lightning refuses, such as more devices than there are.
-    """
-    every = cfg.trainer.val_check_interval
-    try:
-        loggers = make_loggers(cfg.get("logger"))
-        configured = [instantiate(callback) for callback in cfg.callbacks.values()]
-        if not cfg.trainer.enable_progress_bar:
-            configured = [callback for callback in configured if not isinstance(callback, ProgressBar)]
-        if not loggers:
-            configured = [callback for callback in configured if not isinstance(callback, LearningRateMonitor)]
-        trainer: Trainer = instantiate(
-            cfg.trainer,
-            callbacks=[*configured, stop, StopAtNonFinite(output)],
-            logger=loggers or False,
-            plugins=[AtomicCheckpointIO(), *cluster_environments()],
-            use_distributed_sampler=False,  # the data module shares windows and trajectories itself
-            val_check_interval=min(every, steps) if isinstance(every, int) else steps if every is None else every,
-            default_root_dir=output,  # where Lightning looks for checkpoints of SLURM's jobs, of which there are none
-        )
-    except InstantiationException as error:
-        if isinstance(error.__cause__, MisconfigurationException | ValueError):
-            raise InputError(str(error.__cause__)) from error
-        raise
-    return trainer
-
-
 def announce(
     settings: Mapping[str, Any],
     trainer: Trainer,
@@ -169,7 +128,9 @@ def announce(
         flush=True,
     )
     if not trainer.limit_val_batches or not datamodule.valid_names:
-        print("Nothing is held out for a validation, so there will be no best.ckpt; the result is last.ckpt.", flush=True)
+        print(
+            "Nothing is held out for a validation, so there will be no best.ckpt; the result is last.ckpt.", flush=True
+        )
 
 
 def choose_features(wanted: Sequence[str] | None, available: Sequence[str]) -> list[str]:
@@ -299,17 +260,6 @@ def material_scale(datamodule: TrajectoryDataModule, number: int) -> torch.Tenso
     material = torch.cat([constant["material"][:, :number] for constant in datamodule.train_set.constant]).double()
     deviation = material.std(dim=0, correction=0)
     return torch.stack([material.mean(dim=0), torch.where(deviation > 1e-9, deviation, 1.0)]).float()
-
-
-def quieten() -> None:
-    """Keep Lightning's advertisements, and warnings that tell a user nothing, off the terminal."""
-    for library in ("lightning.pytorch", "lightning.fabric"):
-        logging.getLogger(library).setLevel(logging.WARNING)
-    known = ["exists and is not empty", "does not have many workers", "LeafSpec", "weights_only", "not resumable"]
-    known += ["has `__len__` defined", "in eval mode at the start of training", "across ranks is zero", "`srun` command"]
-    for message in known:
-        warnings.filterwarnings("ignore", f".*{message}")
-    warnings.filterwarnings("ignore", category=DeprecationWarning)
 
 
 def provenance(settings: Mapping[str, Any], directory: Path) -> dict[str, Any]:
