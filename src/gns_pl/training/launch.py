@@ -1,14 +1,18 @@
 """Who starts the processes of a training: Lightning, or `torchrun`, `srun` or `mpirun` before it.
 
-`trainer.devices=2` alone needs no launcher, since Lightning starts `train.py` once more for every further device. A
-launcher that starts other numbers of processes than the settings say would train several times side by side.
+`trainer.devices=2` alone needs no launcher, since Lightning starts `train.py` once more for every further device.
+`torchrun` says how many processes it has started, and they train together. Another launcher that starts other numbers
+than the settings say would train several times side by side.
 """
 
 from __future__ import annotations
 
 import os
+from typing import Any
 
-from lightning.fabric.plugins.environments import ClusterEnvironment, LightningEnvironment, SLURMEnvironment
+from lightning.fabric.plugins.environments.cluster_environment import ClusterEnvironment
+from lightning.fabric.plugins.environments.lightning import LightningEnvironment
+from lightning.fabric.plugins.environments.slurm import SLURMEnvironment
 
 from gns_pl.errors import InputError
 
@@ -37,16 +41,24 @@ def cluster_environments() -> list[ClusterEnvironment]:
     return [LightningEnvironment()]
 
 
-def check_launch(devices: object, num_nodes: int = 1) -> None:
-    """Make sure that as many processes were started as train together.
+def launched_devices(devices: Any, num_nodes: int = 1) -> dict[str, Any]:
+    """Return "devices" and "num_nodes" for the trainer: what `torchrun` has started, and what is set elsewhere.
 
     Args:
         devices: trainer.devices; only a number can be compared before there is a trainer.
-        num_nodes: of the trainer.
+        num_nodes: trainer.num_nodes.
 
     Raises:
-        InputError: there are others; what to set is said.
+        InputError: another launcher has started other numbers of processes; what to set is said.
     """
+    if "TORCHELASTIC_RUN_ID" in os.environ:
+        local = int(os.environ["LOCAL_WORLD_SIZE"])
+        return {"devices": local, "num_nodes": int(os.environ["WORLD_SIZE"]) // local}
+    _check_started(devices, num_nodes)
+    return {"devices": devices, "num_nodes": num_nodes}
+
+
+def _check_started(devices: object, num_nodes: int) -> None:
     started, launcher = _started()
     if started == 1 and launcher != "SLURM":
         return
@@ -66,15 +78,15 @@ def check_launch(devices: object, num_nodes: int = 1) -> None:
             f"--cpus-per-task), or set {more}."
         )
     raise InputError(
-        f"{launcher} has started {started} processes, but trainer.devices={devices} trains in {wanted}: start train.py "
-        f"once, without {launcher}, or set {more}."
+        f"{launcher} has started {started} processes (WORLD_SIZE), but trainer.devices={devices} trains in {wanted}: "
+        f"start train.py once, without a launcher, or set {more}."
     )
 
 
 def _started() -> tuple[int, str]:
     """Return how many processes were started for this training, and by what."""
     if "WORLD_SIZE" in os.environ:
-        return int(os.environ["WORLD_SIZE"]), "torchrun" if "TORCHELASTIC_RUN_ID" in os.environ else "a launcher"
+        return int(os.environ["WORLD_SIZE"]), "a launcher"
     if in_slurm_job():
         return int(os.environ.get("SLURM_STEP_NUM_TASKS", os.environ["SLURM_NTASKS"])), "SLURM"
     sizes = [int(os.environ[name]) for name in MPI_SIZES if name in os.environ]

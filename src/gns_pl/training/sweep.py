@@ -108,8 +108,9 @@ def close_sweep() -> None:
         logger = OmegaConf.select(config, "logger.wandb")
         tracking: dict[str, Any] | None = None
         if logger is not None:
-            settings = {key: logger.get(key) for key in ("project", "entity", "tags", "notes", "offline")}
-            tracking = {key: list(each) if OmegaConf.is_list(each) else each for key, each in settings.items()}
+            settings = {key: logger.get(key) for key in ("project", "entity", "tags", "notes")}
+            tracking = {key: list(each) if OmegaConf.is_list(each) else each for key, each in settings.items() if each}
+            tracking["offline"] = bool(config.logger.offline)
         report_sweep(Path(config.hydra.sweep.dir), name=str(config.name), tracking=tracking)
     except Exception as error:  # the trainings are done, and what went wrong with the jobs is to be told after this
         print(f"train.py: the sweep's report failed: {type(error).__name__}: {error}", file=sys.stderr)

@@ -30,7 +30,6 @@ from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
 from gns_pl.training.distillation import Elder
-from gns_pl.training.launch import check_launch
 from gns_pl.training.loggers import close_loggers, log_settings
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
@@ -68,7 +67,6 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         print(f"{resume} has made its {steps} steps already; nothing is left to train.")
         return resume
     stop = StopAtSignal()
-    check_launch(cfg.trainer.devices, cfg.trainer.get("num_nodes") or 1)
     trainer = build_trainer(cfg, output, steps, stop)
     check_devices(trainer, training.batch_size)
     with together(trainer), alone_in(output) if is_rank_zero() else nullcontext():

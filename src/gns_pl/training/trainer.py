@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from gns_pl.errors import InputError
 from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
 from gns_pl.training.checkpoints import AtomicCheckpointIO, LastCheckpoint
-from gns_pl.training.launch import cluster_environments
+from gns_pl.training.launch import cluster_environments, launched_devices
 from gns_pl.training.loggers import make_loggers
 
 
@@ -33,6 +33,7 @@ def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal)
         InputError: settings that Lightning refuses, such as more devices than there are.
     """
     every = cfg.trainer.val_check_interval
+    launched = launched_devices(cfg.trainer.devices, cfg.trainer.get("num_nodes") or 1)
     try:
         loggers = make_loggers(cfg.get("logger"))
         configured = [instantiate(callback) for callback in (cfg.get("callbacks") or {}).values()]
@@ -44,6 +45,7 @@ def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal)
             configured = [callback for callback in configured if not isinstance(callback, LearningRateMonitor)]
         trainer: Trainer = instantiate(
             cfg.trainer,
+            **launched,
             callbacks=[*configured, stop, StopAtNonFinite(output)],
             logger=loggers or False,
             plugins=[AtomicCheckpointIO(), *cluster_environments()],
