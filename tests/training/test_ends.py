@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import math
 import shutil
 from dataclasses import replace
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from lightning.pytorch import Callback, LightningModule, Trainer
 from omegaconf import DictConfig, open_dict
 
@@ -18,7 +24,7 @@ from gns_pl.training import close, rollout_figure
 from gns_pl.training.summary import objective, read_summary
 from gns_pl.training.train import train
 from gns_pl.trajectory import Trajectory
-from tests.training.conftest import FAMILIES, assert_same, make_config
+from tests.training.conftest import CONF, FAMILIES, assert_same, make_config
 from tests.training.test_stopping import callback
 
 HERE = "tests.training.test_ends"
@@ -272,3 +278,21 @@ def test_without_a_tracker(data_root: Path, tmp_path: Path, overrides: list[str]
     best = torch.load(tmp_path / "best.ckpt", weights_only=True)
     assert objective(tmp_path) == pytest.approx(best["callbacks"]["BestCheckpoint"]["least"], rel=1e-6)
     assert (tmp_path / "csv").is_dir() == (tmp_path / "learning_curve.png").is_file() == (overrides == ["logger=csv"])
+
+
+def test_the_command_returns_what_a_sweeper_makes_small(
+    data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a value Optuna finds no trial completed."""
+    spec = spec_from_file_location("train_command", CONF.parent / "train.py")
+    assert spec is not None and spec.loader is not None
+    command = module_from_spec(spec)
+    spec.loader.exec_module(command)
+    hydra = SimpleNamespace(mode=RunMode.RUN, runtime=SimpleNamespace(output_dir=str(tmp_path)))
+    monkeypatch.setattr(HydraConfig, "get", lambda: hydra)
+    error = command.main.__wrapped__(make_config(data_root, tmp_path))
+    summary = read_summary(tmp_path)
+    assert summary is not None and error == summary["best"]["position_error"] > 0
+    summary["best"] = None  # all rollouts failed
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    assert objective(tmp_path) == math.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from lightning.fabric.plugins.environments import LightningEnvironment, SLURMEnvironment
+from lightning.fabric.utilities.rank_zero import rank_zero_only
 
 from gns_pl.errors import InputError
 from gns_pl.training.launch import cluster_environments, launched_devices
@@ -27,7 +28,7 @@ def environment(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest)
 
 
 @pytest.mark.parametrize(("environment", "devices", "nodes", "sentence"), [
-    ({"WORLD_SIZE": "4"}, 1, 2, r"a launcher has started 4 processes, .* set trainer.devices=2"),
+    ({"WORLD_SIZE": "4"}, 1, 2, r"a launcher has started 4 processes .* set trainer.devices=2"),
     (BATCH, 1, 1, r"SLURM has 4 tasks \(SLURM_NTASKS\), .* --ntasks=1 .*--cpus-per-task\), or set trainer.devices=4"),
     ({**BATCH, "SLURM_NTASKS": "1"}, 2, 1, r"SLURM has 1 task .* in 2 processes: .* --ntasks=2 .* trainer.devices=1"),
     (STEP, 1, 1, r"SLURM has 4 tasks"),
@@ -36,6 +37,14 @@ def environment(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest)
 def test_other_numbers_of_processes_are_refused(environment: None, devices: object, nodes: int, sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         launched_devices(devices, nodes)
+
+
+@pytest.mark.parametrize("environment", [STEP], indirect=True)
+def test_it_is_said_once(environment: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rank_zero_only, "rank", 3, raising=False)
+    with pytest.raises(SystemExit) as ended:
+        launched_devices(1)
+    assert ended.value.code == 2
 
 
 @pytest.mark.parametrize(("environment", "devices", "nodes"), [

@@ -15,6 +15,7 @@ from lightning.fabric.plugins.environments.lightning import LightningEnvironment
 from lightning.fabric.plugins.environments.slurm import SLURMEnvironment
 
 from gns_pl.errors import InputError
+from gns_pl.training.devices import is_rank_zero
 
 MPI_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 INTERACTIVE = ("bash", "interactive")
@@ -50,11 +51,17 @@ def launched_devices(devices: Any, num_nodes: int = 1) -> dict[str, Any]:
 
     Raises:
         InputError: another launcher has started other numbers of processes; what to set is said.
+        SystemExit: with status 2, in all of them but the first one, which says it.
     """
     if "TORCHELASTIC_RUN_ID" in os.environ:
         local = int(os.environ["LOCAL_WORLD_SIZE"])
         return {"devices": local, "num_nodes": int(os.environ["WORLD_SIZE"]) // local}
-    _check_started(devices, num_nodes)
+    try:
+        _check_started(devices, num_nodes)
+    except InputError:
+        if not is_rank_zero():
+            raise SystemExit(2) from None
+        raise
     return {"devices": devices, "num_nodes": num_nodes}
 
 
