@@ -16,6 +16,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 
 from gns_pl.data.datamodule import _leave_signals_to_parent
 from gns_pl.errors import InputError
+from gns_pl.training.summary import read_summary
 from gns_pl.training.train import train
 from tests.training.conftest import assert_same, make_config
 
@@ -159,6 +160,8 @@ def test_loader_processes_end_with_the_run_and_not_before(data_root: Path, tmp_p
     with pytest.raises(SystemExit, match=r"stopped after 3 steps; to go on, add resume="):
         train(make_config(data_root, cut, *workers), cut, None)
     assert torch.load(cut / "last.ckpt", weights_only=True)["global_step"] == 3
+    summary = read_summary(cut)
+    assert summary is not None and summary["data"]["num_valid"] == 1
     assert not multiprocessing.active_children()
     train(make_config(data_root, cut), cut, cut / "last.ckpt")
     train(make_config(data_root, whole), whole, None)

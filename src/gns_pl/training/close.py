@@ -93,7 +93,7 @@ def summarise_run(
         "data": {
             "name": settings["data"]["name"],
             "num_train": len(datamodule.train_names),
-            "num_valid": len(datamodule.valid_names) if trainer.limit_val_batches else 0,
+            "num_valid": len(datamodule.valid_names),
             "num_windows": len(datamodule.train_set),
         },
         "batch_size": datamodule.batch_size,
