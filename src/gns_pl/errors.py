@@ -17,6 +17,21 @@ class InputError(ValueError):
 
 
 @contextmanager
+def tolerated(what: str) -> Iterator[None]:
+    """Go on with one sentence on stderr after whatever is raised: a figure or a report must not cost a result.
+
+    Args:
+        what: is being made, at the beginning of the sentence.
+    """
+    try:
+        yield
+    except Exception as error:
+        reason = str(error).strip().partition("\n")[0].rstrip(".") or "no reason given"
+        kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+        print(f"{what} could not be made ({kind}{reason}); the results are there without.", file=sys.stderr)
+
+
+@contextmanager
 def told_plainly(door: str, *, in_sweep: bool = False) -> Iterator[None]:
     """Turn an `InputError`, or a file that may not be touched, into one line on stderr and exit status 2.
 

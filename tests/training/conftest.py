@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,14 +74,20 @@ def make_config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
     """Compose conf/train.yaml as the door does, for a run in `output`, without W&B."""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose("train", [*TINY, f"data.root={data_root}", "~logger.wandb", *overrides])
+        cfg = compose("train", [*TINY, f"data.root={data_root}", *without_wandb(overrides), *overrides])
     with open_dict(cfg):
         cfg.data.families = FAMILIES
         cfg.callbacks.last.directory = str(output)
         cfg.callbacks.best.directory = str(output)
-        cfg.logger.csv.save_dir = str(output)
+        if "csv" in cfg.get("logger", {}):
+            cfg.logger.csv.save_dir = str(output)
     assert OmegaConf.missing_keys(cfg) == set()
     return cfg
+
+
+def without_wandb(overrides: Sequence[str]) -> list[str]:
+    """Return the override that leaves W&B out, unless others say what logs."""
+    return [] if any(each.split("=")[0] in ("logger", "~logger") for each in overrides) else ["logger=csv"]
 
 
 def rows(output: Path) -> list[dict[str, str]]:

@@ -19,6 +19,7 @@ from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.training.correction import CorrectionModule, fit_corrector, make_examples, runout_errors
 from gns_pl.trajectory import Trajectory
 from tests.conftest import MPM, SAND
+from tests.data import sets
 
 CONFIG = CorrectorConfig(
     dim=2,
@@ -152,3 +153,13 @@ def test_fitting_finds_what_a_coarse_run_misses(tmp_path: Path, fine: Trajectory
         assert fit_corrector(settings, tmp_path / "run") == path
     with pytest.raises(InputError, match="holds a run of other settings"):
         fit_corrector({**settings, "learning_rate": 1e-4}, tmp_path / "run")
+
+
+def test_without_a_column_to_judge_by_nothing_is_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of nothing would be the least there is."""
+    flight = sets.make_flight(sets.make_scene(), 3)
+    sets.write_set(tmp_path / "set", [flight, flight], valid=1)
+    monkeypatch.setattr("gns_pl.training.correction.generate_dataset", lambda *_, **__: tmp_path / "set")
+    with pytest.raises(InputError, match="no validation trajectory runs out"):
+        fit_corrector({"seed": 0, "stride": 1, "data": {}}, tmp_path / "run")
+    assert not list((tmp_path / "run").glob("*.c*"))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,9 @@ import pytest
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 
+from gns_pl.data.datamodule import _leave_signals_to_parent
 from gns_pl.errors import InputError
+from gns_pl.training.summary import read_summary
 from gns_pl.training.train import train
 from tests.training.conftest import assert_same, make_config
 
@@ -55,7 +60,7 @@ def callback(name: str, **arguments: object) -> list[str]:
     return [f"+callbacks.extra.{key}={value}" for key, value in settings.items()]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1])
 def test_a_signal_ends_the_run_behind_the_step(
     data_root: Path, whole_run: Path, tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -130,3 +135,76 @@ def test_the_windows_saved_are_those_of_the_step(data_root: Path, tmp_path: Path
     for step, batch in Seen.batches[2:]:
         for name in ("position", "particle_type", "material", "volume", "lower", "upper", "gravity"):
             assert torch.equal(torch.cat([window[name] for window in saved[step]]), batch[name]), name
+
+
+class EndWorkers(Callback):
+    """Sends all processes of the training SIGTERM, as a batch system does."""
+
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
+        if trainer.global_step == 2:
+            workers = multiprocessing.active_children()
+            assert len(workers) == 2
+            for worker in workers:
+                os.kill(int(worker.pid or 0), signal.SIGUSR1)
+                outsider(int(worker.pid or 0))
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(1)  # torch looks after its loader processes whenever one ends
+
+
+def outsider(pid: int) -> None:
+    """Send SIGTERM from a process that is not the parent."""
+    subprocess.run(["kill", "-TERM", str(pid)], check=True)
+
+
+def test_loader_processes_end_with_the_run_and_not_before(data_root: Path, tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    workers = ["training.num_workers=2", f"+callbacks.extra._target_={HERE}.EndWorkers"]
+    with pytest.raises(SystemExit, match=r"stopped after 3 steps; to go on, add resume="):
+        train(make_config(data_root, cut, *workers), cut, None)
+    assert torch.load(cut / "last.ckpt", weights_only=True)["global_step"] == 3
+    summary = read_summary(cut)
+    assert summary is not None and summary["data"]["num_valid"] == 1
+    assert not multiprocessing.active_children()
+    train(make_config(data_root, cut), cut, cut / "last.ckpt")
+    train(make_config(data_root, whole), whole, None)
+    assert_same(*(torch.load(folder / "last.ckpt", weights_only=True) for folder in (whole, cut)))
+
+
+def test_a_loader_process_ends_when_its_parent_asks() -> None:
+    context = multiprocessing.get_context("fork")
+    ready = context.Event()
+    worker = context.Process(target=_as_loader, args=(ready,), daemon=True)
+    worker.start()
+    assert ready.wait(20)
+    outsider(int(worker.pid or 0))
+    worker.join(0.3)
+    assert worker.is_alive()
+    worker.terminate()
+    worker.join(20)
+    assert worker.exitcode == 0
+
+
+def _as_loader(ready: Any) -> None:
+    _leave_signals_to_parent(0)
+    ready.set()
+    time.sleep(60)
+
+
+def test_in_a_slurm_job_usr1_stops_the_run(data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lightning would save into the working folder, ask for the job again, and begin every later run there."""
+    slurm = {"JOB_ID": "77", "JOB_NAME": "night", "NTASKS": "1", "PROCID": "0", "LOCALID": "0", "NODEID": "0"}
+    for name, value in slurm.items():
+        monkeypatch.setenv(f"SLURM_{name}", value)
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    (tmp_path / "work/hpc_ckpt_1.ckpt").write_bytes(b"of another run")
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    number = int(signal.SIGUSR1)
+    with pytest.raises(SystemExit, match=r"stopped after 4 steps; to go on, add resume="):
+        train(make_config(data_root, cut, *callback("SignalAt", step=3, number=number)), cut, None)
+    assert [path.name for path in Path().iterdir()] == ["hpc_ckpt_1.ckpt"] and not list(cut.rglob("hpc*"))
+    train(make_config(data_root, cut), cut, cut / "last.ckpt")
+    for name in slurm:
+        monkeypatch.delenv(f"SLURM_{name}")
+    train(make_config(data_root, whole), whole, None)
+    assert_same(*(torch.load(folder / "last.ckpt", weights_only=True) for folder in (whole, cut)))

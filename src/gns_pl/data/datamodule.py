@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +43,26 @@ class TrajectoryDataset(Dataset[Trajectory | None]):
         return None if path is None else read_trajectory(path).every(self.stride)
 
 
-def _ignore_interrupts(worker: int) -> None:
-    """Leave Ctrl-C, which a terminal sends to loader processes too, to the process that trains."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _leave_signals_to_parent(worker: int) -> None:
+    """Let a loader process end only when the process that trains ends it, which needs its windows for the last step.
+
+    Terminals send Ctrl-C to all processes of a command, batch systems SIGTERM and others.
+    """
+    for name in ("SIGINT", "SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    if not hasattr(signal, "sigwaitinfo"):  # macOS; torch ends loader processes without a signal, too
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        return
+    # The parent ends loader processes by SIGTERM if they do not end by themselves, so that one is told from others'.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    threading.Thread(target=_end_if_parent_asks, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_if_parent_asks(parent: int) -> None:
+    while signal.sigwaitinfo({signal.SIGTERM}).si_pid != parent:
+        pass
+    os._exit(0)
 
 
 class TrajectoryDataModule(LightningDataModule):
@@ -100,6 +119,7 @@ class TrajectoryDataModule(LightningDataModule):
         if num_train is not None and not 0 < num_train <= len(names):
             raise InputError(f"training.num_train is {num_train}, but the set has {len(names)} training trajectories.")
         self.train_names = names[:num_train]
+        self.valid_names = self.manifest.splits["valid"]
         files = [self.manifest.files[name] for name in self.train_names]
         self.in_memory = sum(4 * f.num_frames * f.num_particles * self.manifest.dim for f in files) <= memory_limit
 
@@ -114,6 +134,34 @@ class TrajectoryDataModule(LightningDataModule):
                 start_repeats=self.start_repeats,
                 moving_repeats=self.moving_repeats,
                 in_memory=self.in_memory,
+            )
+
+    def check_validation(self) -> None:
+        """Open every validation trajectory, and leave out those that are too short for a step, with a sentence.
+
+        Raises:
+            InputError: one that is missing, cannot be read or has obstacles; or none that is long enough.
+        """
+        kept = []
+        for name in self.manifest.splits["valid"]:
+            path = self.directory / name
+            first = read_trajectory(path, num_frames=1)
+            if first.scene.obstacles:
+                raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
+            if read_header(path).num_frames > self.stride:
+                kept.append(name)
+        self.valid_names, listed = tuple(kept), self.manifest.splits["valid"]
+        short = [name for name in listed if name not in kept]
+        if short and not kept:
+            raise InputError(
+                f"{self.directory}: no validation trajectory has the {self.stride + 1} frames of a step ({short[0]} "
+                f"has {self.manifest.files[short[0]].num_frames}); hold longer ones out, or train without a "
+                "validation: add trainer.limit_val_batches=0."
+            )
+        if short:
+            print(
+                f"{len(short)} of {len(listed)} validation trajectories have fewer than the {self.stride + 1} frames "
+                f"of a step and are left out: {', '.join(short[:3])}{' …' if len(short) > 3 else ''}."
             )
 
     def _processes(self) -> tuple[int, int]:
@@ -147,7 +195,7 @@ class TrajectoryDataModule(LightningDataModule):
         rank, ranks = self._processes()
         sampler = self._sampler(rank=rank, num_ranks=ranks)
         return DataLoader(
-            self.train_set, batch_sampler=sampler, num_workers=self.num_workers, worker_init_fn=_ignore_interrupts
+            self.train_set, batch_sampler=sampler, num_workers=self.num_workers, worker_init_fn=_leave_signals_to_parent
         )
 
     def val_dataloader(self) -> TorchDataLoader[Trajectory | None]:
@@ -156,7 +204,7 @@ class TrajectoryDataModule(LightningDataModule):
         Rank r of R has r, r + R, …; those that would have one less than others have an empty slot in its place.
         """
         rank, ranks = self._processes()
-        paths: list[Path | None] = [self.directory / name for name in self.manifest.splits["valid"]]
+        paths: list[Path | None] = [self.directory / name for name in self.valid_names]
         paths += [None] * (-len(paths) % ranks)
         return TorchDataLoader(TrajectoryDataset(paths[rank::ranks], self.stride), batch_size=None)
 

@@ -108,7 +108,7 @@ def compute_curves(trajectory: Trajectory) -> Curves:
     speed = measures.speeds(flow)
     return {
         "time": flow.time,
-        "time_tau": flow.time / characteristic_time(scene),
+        "time_tau": flow.time / (characteristic_time(scene) if any(scene.gravity) else np.nan),
         "runout_99": runout[0],
         "runout_995": runout[1],
         "runout_max": runout[2],

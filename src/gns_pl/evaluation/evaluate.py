@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gns_pl.errors import InputError
+from gns_pl.errors import InputError, tolerated
 from gns_pl.evaluation.curves import cut, write_curves
 from gns_pl.evaluation.doors import check_figures, check_space, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.judge import SceneResult, judge_scene
@@ -233,11 +233,13 @@ def evaluate(
     if figures:
         from gns_pl.evaluation.figures import draw
 
-        files += draw(results, out, snapshots=snapshots, **animation)
+        with tolerated("the figures"):
+            files += draw(results, out, snapshots=snapshots, **animation)
     if film is not None:
         from gns_pl.evaluation.figures import draw_in_space
 
-        files += draw_in_space(results, out, film=film, **animation)
+        with tolerated("the films"):
+            files += draw_in_space(results, out, film=film, **animation)
     report.show(document)
     return document, files
 

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gns_pl.errors import InputError
 from gns_pl.evaluation import measures
 from gns_pl.evaluation.curves import Curves, Quantity, compute_curves, cut, mobile, num_finite_frames
 from gns_pl.trajectory import Trajectory, nearest_neighbour_distance
@@ -202,8 +203,10 @@ def rollout_errors(
         The entries of `ERRORS`, then the rollout's own `SUMMARY`.
 
     Raises:
-        InputError: different particles or time steps.
+        InputError: different particles or time steps, or a reference of one frame, which no rollout can miss.
     """
+    if reference.num_frames < 2:
+        raise InputError(f"{reference.scene.name}: has one frame, so there is no step to judge; choose longer ones.")
     finite = min(num_finite_frames(predicted), reference.num_frames)
     own = cut(predicted, finite)
     errors = dict.fromkeys((quantity.name for quantity in (*ERRORS, *SUMMARY)), math.nan)

@@ -62,7 +62,7 @@ def unless_disabled(log: Callable[P, Path]) -> Callable[P, list[Path]]:
 
 @unless_disabled
 def log_evaluation(
-    document: Mapping[str, Any], files: Sequence[Path], *, out: Path, offline: bool, project: str
+    document: Mapping[str, Any], files: Sequence[Path], *, out: Path, offline: bool, project: str, **more: Any
 ) -> Path:
     """Log tables, images, animations and the summary, and close the run whatever happens.
 
@@ -72,6 +72,7 @@ def log_evaluation(
         out: folder under which W&B puts its own folder.
         offline: keep the run on this disk.
         project: W&B project.
+        **more: of `wandb.init`: entity, tags, notes.
 
     Returns:
         Folder of the run.
@@ -81,7 +82,7 @@ def log_evaluation(
     """
     import wandb
 
-    with started("evaluation", dict(document["checkpoint"]), out=out, offline=offline, project=project) as run:
+    with started("evaluation", dict(document["checkpoint"]), out=out, offline=offline, project=project, **more) as run:
         media: dict[str, Any] = {file.stem: wandb.Image(str(file)) for file in files if file.suffix == ".png"}
         media |= {f"animation_{file.stem}": wandb.Video(str(file)) for file in files if file.suffix in (".gif", ".mp4")}
         run.log(media | {"metrics": _table(wandb, document)})
@@ -100,7 +101,15 @@ def log_evaluation(
 
 @unless_disabled
 def log_chart(
-    points: Sequence[Any], figure: Path, caption: str, *, command: str, out: Path, offline: bool, project: str
+    points: Sequence[Any],
+    figure: Path,
+    caption: str,
+    *,
+    command: str,
+    out: Path,
+    offline: bool,
+    project: str,
+    **more: Any,
 ) -> Path:
     """Log a chart of speed against accuracy: figure, table of points, and time and error of each in the summary.
 
@@ -112,6 +121,7 @@ def log_chart(
         out: as of `log_evaluation`, like the next two.
         offline: likewise.
         project: likewise.
+        **more: likewise.
 
     Returns:
         Folder of the run.
@@ -121,7 +131,7 @@ def log_chart(
     """
     import wandb
 
-    with started("benchmark", {"command": command}, out=out, offline=offline, project=project) as run:
+    with started("benchmark", {"command": command}, out=out, offline=offline, project=project, **more) as run:
         names = [each.name for each in fields(points[0])]
         table = wandb.Table(columns=names, data=[[_finite(getattr(each, name)) for name in names] for each in points])
         run.log({"chart": wandb.Image(str(figure), caption=caption), "points": table})
@@ -131,7 +141,9 @@ def log_chart(
 
 
 @unless_disabled
-def log_stress(rows: Sequence[Row], files: Sequence[Path], *, out: Path, offline: bool, project: str) -> Path:
+def log_stress(
+    rows: Sequence[Row], files: Sequence[Path], *, out: Path, offline: bool, project: str, **more: Any
+) -> Path:
     """Log the rows of the stress suite and its figure; the rest as `log_evaluation`.
 
     Args:
@@ -140,6 +152,7 @@ def log_stress(rows: Sequence[Row], files: Sequence[Path], *, out: Path, offline
         out: as there, like the next two.
         offline: likewise.
         project: likewise.
+        **more: likewise.
 
     Returns:
         Folder of the run.
@@ -150,7 +163,7 @@ def log_stress(rows: Sequence[Row], files: Sequence[Path], *, out: Path, offline
     import wandb
 
     models = list(dict.fromkeys(row.model for row in rows))
-    with started("stress", {"models": models}, out=out, offline=offline, project=project) as run:
+    with started("stress", {"models": models}, out=out, offline=offline, project=project, **more) as run:
         table = wandb.Table(columns=list(asdict(rows[0])), data=[list(asdict(row).values()) for row in rows])
         media = {file.stem: wandb.Image(str(file)) for file in files if file.suffix == ".png"}
         run.log(media | {"table": table})

@@ -15,9 +15,12 @@ from gns_pl.errors import InputError
 from gns_pl.io.atomic import write_atomically
 from gns_pl.training.checkpoints import LAST
 
+ADVANCE_WARNINGS = ("SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGHUP")
+"""Signals by which batch systems (`sbatch --signal=USR1`) and closing terminals announce an end; they end a process."""
+
 
 class StopAtSignal(Callback):
-    """Ends the training behind the step that is being made, once it is saved, at Ctrl-C or SIGTERM.
+    """Ends the training behind the step that is being made, once it is saved, at Ctrl-C, SIGTERM or a batch system's.
 
     A second Ctrl-C ends it at once. Of several processes it is enough if one is told; all end behind the same step.
 
@@ -31,10 +34,13 @@ class StopAtSignal(Callback):
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Take the signals over, from Lightning too, whose way of telling other processes can hang.
 
-        Lightning gives all signals back at the end.
+        Those of `ADVANCE_WARNINGS` are taken only if they would end the process: `nohup` ignores one, and the launchers
+        of a sweep handle others themselves. Lightning gives all signals back at the end.
         """
         if threading.current_thread() is threading.main_thread():
-            wanted = (signal.SIGINT, signal.SIGTERM) if trainer.is_global_zero else (signal.SIGTERM,)
+            wanted = [signal.SIGINT, signal.SIGTERM] if trainer.is_global_zero else [signal.SIGTERM]
+            known = [getattr(signal, name) for name in ADVANCE_WARNINGS if hasattr(signal, name)]
+            wanted += [number for number in known if signal.getsignal(number) == signal.SIG_DFL]
             for number in wanted:
                 signal.signal(number, self._note)
 

@@ -12,11 +12,15 @@ import torch
 from lightning.pytorch import Trainer
 
 from gns_pl.data.datamodule import TrajectoryDataModule
+from gns_pl.errors import tolerated
 from gns_pl.evaluation.report import without_nan
 from gns_pl.io.atomic import write_atomically
+from gns_pl.training.checkpoints import LAST, BestCheckpoint, best_checkpoint
 from gns_pl.training.clock import Clock
 from gns_pl.training.history import Floats, History, read_history
+from gns_pl.training.loggers import log_image
 from gns_pl.training.module import SimulatorModule
+from gns_pl.training.progress import validation_values
 from gns_pl.training.summary import FORMAT, FORMAT_VERSION, SUMMARY_FILE, headline, summary_lines
 from gns_pl.training.validation import MONITORED
 from gns_pl.viz import missing_packages, plot_learning_curve
@@ -38,7 +42,8 @@ def close_run(output: Path, trainer: Trainer, module: SimulatorModule, datamodul
     if not trainer.is_global_zero or trainer.global_step == 0:
         return
     for logger in trainer.loggers:
-        logger.save()
+        with tolerated(f"the file of {type(logger).__name__}"):
+            logger.save()
     history = read_history(output)
     summary = summarise_run(history, output=output, trainer=trainer, module=module, datamodule=datamodule)
     content = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
@@ -46,12 +51,10 @@ def close_run(output: Path, trainer: Trainer, module: SimulatorModule, datamodul
     if missing_packages():
         print(f"No {CURVE_FILE}: it needs {' and '.join(missing_packages())} (pip install 'gns_pl[viz]').")
     elif len(history.training["step"]):
-        plot_learning_curve(
-            history.training, history.validation, output / CURVE_FILE, title=f"{summary['name']}: {headline(summary)}"
-        )
-        for logger in trainer.loggers:
-            if hasattr(logger, "log_image"):
-                logger.log_image("learning_curve", [str(output / CURVE_FILE)], step=trainer.global_step)
+        with tolerated(CURVE_FILE):
+            title = f"{summary['name']}: {headline(summary)}"
+            plot_learning_curve(history.training, history.validation, output / CURVE_FILE, title=title)
+            log_image(trainer.loggers, "learning_curve", output / CURVE_FILE, trainer.global_step)
     print("", *summary_lines(summary), sep="\n", flush=True)
 
 
@@ -74,7 +77,9 @@ def summarise_run(
     settings = module.provenance["config"]
     clocks = [callback for callback in trainer.callbacks if isinstance(callback, Clock)]  # type: ignore[attr-defined]
     steps, planned = trainer.global_step, module.optimisation["num_steps"]
-    final = _validation(history, -1)
+    best, final = _validation(history, best_validation(history)), _validation(history, -1)
+    if not history.num_starts:  # nothing was logged
+        best, final = unlogged_validations(trainer)
     summary = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -88,7 +93,7 @@ def summarise_run(
         "data": {
             "name": settings["data"]["name"],
             "num_train": len(datamodule.train_names),
-            "num_valid": len(datamodule.manifest.splits["valid"]),
+            "num_valid": len(datamodule.valid_names),
             "num_windows": len(datamodule.train_set),
         },
         "batch_size": datamodule.batch_size,
@@ -98,12 +103,23 @@ def summarise_run(
         "step_seconds": _median(history.training["step_seconds"]),
         "windows_per_s": _median(history.training["windows_per_s"]),
         "rollout_step_seconds": _median(history.validation.get("rollout_step_seconds", np.empty(0))),
-        "best": _validation(history, best_validation(history)),
+        "best": best,
         "final": final,
-        "checkpoint": str(output / ("best.ckpt" if (output / "best.ckpt").is_file() else "last.ckpt")),
+        "checkpoint": str(best_checkpoint(trainer) or output / LAST),
     }
     plain: dict[str, Any] = without_nan(summary)
     return plain
+
+
+def unlogged_validations(trainer: Trainer) -> tuple[dict[str, float] | None, dict[str, float] | None]:
+    """Return what callbacks know of the best validation and of the last one; None where there was none."""
+    final: dict[str, float] | None = validation_values(trainer) or None
+    if final is not None:
+        final["step"] = trainer.global_step
+    for callback in trainer.callbacks:  # type: ignore[attr-defined]
+        if isinstance(callback, BestCheckpoint) and callback.least is not None and callback.step is not None:
+            return {"step": callback.step, MONITORED: callback.least}, final
+    return None, final
 
 
 def best_validation(history: History) -> int | None:

@@ -36,7 +36,7 @@ from gns_pl.rollout import static_of
 from gns_pl.rollout.correction import corrected_run, followed_run
 from gns_pl.scene import fill_scene
 from gns_pl.training.clock import Stopwatch, cost_of
-from gns_pl.training.train import quieten
+from gns_pl.training.trainer import quieten
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 if TYPE_CHECKING:
@@ -262,6 +262,12 @@ def _fit(settings: Mapping[str, Any], output: Path) -> Path:
         split: [read_trajectory(directory / name).every(stride) for name in manifest.splits[split]]
         for split in ("train", "valid")
     }
+    if not fine["train"]:
+        raise InputError(f"{directory}: there is nothing to train on.")
+    if not any(compute_curves(each)["runout_99"][-1] > LEAST_RUNOUT for each in fine["valid"]):
+        raise InputError(
+            f"{directory}: no validation trajectory runs out, so none can choose the weights; hold one out."
+        )
     config = CorrectorConfig(
         dim=manifest.dim,
         interval=manifest.dt * stride,
@@ -269,8 +275,6 @@ def _fit(settings: Mapping[str, Any], output: Path) -> Path:
         mpm=settings["mpm"],
         **settings["model"],
     )
-    if not fine["train"]:
-        raise InputError(f"{directory}: there is nothing to train on.")
     print(f"{len(fine['train'])} fine trajectories are followed by coarse runs", flush=True)
     number, every, size = (int(settings[key]) for key in ("num_steps", "valid_every", "batch_size"))
     module = CorrectionModule(

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from lightning.pytorch import Callback, LightningModule, Trainer
 
+from gns_pl.errors import tolerated
 from gns_pl.evaluation.curves import compute_curves
 from gns_pl.evaluation.measures import particle_spacing
 from gns_pl.scene.extent import characteristic_time, initial_extent
+from gns_pl.training.loggers import log_image
 from gns_pl.trajectory import Trajectory
 from gns_pl.viz import missing_packages, plot_curves, plot_evolution
 
@@ -51,12 +53,11 @@ class RolloutFigure(Callback):
         shown, self._shown, self._farthest = self._shown, None, -math.inf
         if not loggers or shown is None or not trainer.is_global_zero or missing_packages():
             return
-        with TemporaryDirectory() as folder:
+        with tolerated("the figures of a validation rollout"), TemporaryDirectory() as folder:
             curves, deposit = Path(folder) / "curves.png", Path(folder) / "deposit.png"
             draw_rollout(*shown, curves=curves, deposit=deposit)
-            for logger in loggers:
-                for path in (curves, deposit):
-                    logger.log_image(f"rollout/{path.stem}", [str(path)], step=trainer.global_step)
+            for path in (curves, deposit):
+                log_image(loggers, f"rollout/{path.stem}", path, trainer.global_step)
 
 
 def draw_rollout(predicted: Trajectory, reference: Trajectory, *, curves: Path, deposit: Path) -> None:
@@ -68,13 +69,14 @@ def draw_rollout(predicted: Trajectory, reference: Trajectory, *, curves: Path, 
         curves: file for the curves.
         deposit: file for the last frame.
     """
+    time_scale = characteristic_time(reference.scene)
     pair = {"MPM": reference, "learned": predicted}
     named = {name: compute_curves(flow) for name, flow in pair.items()}
     plot_curves({reference.scene.name: named}, ("runout", "height"), [curves])
     plot_evolution(
         {"learned": predicted, "MPM": reference},
         [deposit],
-        time_scale=characteristic_time(reference.scene),
+        time_scale=time_scale,
         times=[],
         diameter=particle_spacing(reference),
         pixels=600,

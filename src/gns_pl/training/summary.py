@@ -27,6 +27,18 @@ def read_summary(run: Path) -> dict[str, Any] | None:
     return content if content.get("format") == FORMAT else None
 
 
+def objective(run: Path) -> float | None:
+    """Return the least position error of a run's validations [spacings], which sweepers such as Optuna make smaller.
+
+    It is infinite if no rollout was finite, and None for a run without a validation.
+    """
+    summary = read_summary(run)
+    if summary is None or summary["final"] is None:
+        return None
+    error = (summary["best"] or {}).get("position_error")
+    return math.inf if error is None else float(error)
+
+
 def headline(summary: Mapping[str, Any]) -> str:
     """Return steps and time in one phrase."""
     wall = summary["wall_seconds"]

@@ -22,6 +22,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
+from gns_pl.errors import tolerated
 from gns_pl.training.summary import FAILURE_FILE
 
 LONGEST_NAME = 120
@@ -103,11 +104,13 @@ def close_sweep() -> None:
     config, SweepReport.open_sweep = SweepReport.open_sweep, None
     if config is None:
         return
-    logger = OmegaConf.select(config, "logger.wandb")
-    tracking = None
-    if logger is not None:
-        tracking = {"project": logger.project, "offline": bool(config.logger.offline)}
     try:
+        logger = OmegaConf.select(config, "logger.wandb")
+        tracking: dict[str, Any] | None = None
+        if logger is not None:
+            settings = {key: logger.get(key) for key in ("project", "entity", "tags", "notes")}
+            tracking = {key: list(each) if OmegaConf.is_list(each) else each for key, each in settings.items() if each}
+            tracking["offline"] = bool(config.logger.offline)
         report_sweep(Path(config.hydra.sweep.dir), name=str(config.name), tracking=tracking)
     except Exception as error:  # the trainings are done, and what went wrong with the jobs is to be told after this
         print(f"train.py: the sweep's report failed: {type(error).__name__}: {error}", file=sys.stderr)
@@ -119,7 +122,7 @@ def report_sweep(folder: Path, *, name: str, tracking: dict[str, Any] | None) ->
     Args:
         folder: of the sweep, with a folder per job.
         name: of the experiment.
-        tracking: {project, offline} of W&B; None logs nothing.
+        tracking: {project, offline, …} of W&B, as `tracking.started` takes them; None logs nothing.
 
     Returns:
         Paths of what was made; none if no job was started.
@@ -134,12 +137,14 @@ def report_sweep(folder: Path, *, name: str, tracking: dict[str, Any] | None) ->
     if missing_packages():
         print(f"No figure of the sweep: it needs {' and '.join(missing_packages())} (pip install 'gns_pl[viz]').")
     else:
-        files += draw_sweep(jobs, folder)
+        with tolerated("the figure of the sweep"):
+            files += draw_sweep(jobs, folder)
     show(jobs, name)
     if tracking is not None:
         from gns_pl.training.sweep_tracking import log_sweep
 
-        files += log_sweep(jobs, files, folder=folder, group=group_name(str(folder)), **tracking)
+        with tolerated("the sweep's run of W&B"):
+            files += log_sweep(jobs, files, folder=folder, group=group_name(str(folder)), **tracking)
     print("Made:", *files, sep="\n  ", flush=True)
     return files
 

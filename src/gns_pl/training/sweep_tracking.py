@@ -12,7 +12,7 @@ from gns_pl.training.sweep_table import Job, measured, swept_names
 
 @unless_disabled
 def log_sweep(
-    jobs: Sequence[Job], files: Sequence[Path], *, folder: Path, group: str, project: str, offline: bool
+    jobs: Sequence[Job], files: Sequence[Path], *, folder: Path, group: str, project: str, offline: bool, **more: Any
 ) -> Path:
     """Log the table and the figure, and close the run whatever happens.
 
@@ -23,6 +23,7 @@ def log_sweep(
         group: of the jobs' runs.
         project: W&B project.
         offline: keep the run on this disk.
+        **more: of `wandb.init`: entity, tags, notes.
 
     Returns:
         Folder of the run.
@@ -32,7 +33,8 @@ def log_sweep(
     """
     import wandb
 
-    with started("sweep", {}, out=folder, offline=offline, project=project, group=group, name=group) as run:
+    given = {"out": folder, "offline": offline, "project": project, "group": group, "name": group, **more}
+    with started("sweep", {}, **given) as run:
         swept, names = swept_names(jobs), list(measured(jobs[0]))
         table = wandb.Table(columns=["job", *swept, "status", *names])
         for job in jobs:

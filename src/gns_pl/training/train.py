@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import errno
-import logging
 import math
 import os
 import subprocess
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from importlib.metadata import version
@@ -15,32 +13,30 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
-from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import Trainer, seed_everything
-from lightning.pytorch.loggers import Logger
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
-from gns_pl.errors import InputError
+from gns_pl.errors import InputError, tolerated
 from gns_pl.frame_simulator import FrameSimulator, simulator_config
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.machine import provide_home
 from gns_pl.nn import in_float32
 from gns_pl.nn.memory import keep_freed_memory
-from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
-from gns_pl.training.checkpoints import BEST, LAST, AtomicCheckpointIO
+from gns_pl.training.callbacks import StopAtSignal
+from gns_pl.training.checkpoints import LAST, best_checkpoint
 from gns_pl.training.clock import cost_of
 from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
 from gns_pl.training.distillation import Elder
-from gns_pl.training.loggers import make_loggers
+from gns_pl.training.loggers import close_loggers, log_settings
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
 from gns_pl.training.seen import measure_seen
+from gns_pl.training.summary import SUMMARY_FILE
+from gns_pl.training.trainer import build_trainer, quieten
 
 PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
 
@@ -79,6 +75,8 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
         seed_everything(settings["seed"], workers=True, verbose=False)
         directory = find_dataset(settings["data"], progress=is_rank_zero())
         datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
+        if trainer.limit_val_batches:
+            datamodule.check_validation()
         module = build_module(settings, training, datamodule)
         try:
             if is_rank_zero():
@@ -95,51 +93,22 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
                 raise
             hint = f"; make room and go on: add {go_on(output)}" if (output / LAST).is_file() else ""
             raise StorageError(f"{str(error).rstrip('.')}{hint}") from error
+        except Exception as error:
+            if (output / LAST).is_file():
+                error.add_note(f"To go on from {output / LAST}, add {go_on(output)}")
+            raise
         finally:
-            try:
+            with tolerated(SUMMARY_FILE):
                 close_run(output, trainer, module, datamodule)
-            finally:
-                if "wandb" in settings["logger"] and is_rank_zero():
-                    import wandb
-
-                    wandb.finish()  # or the jobs of a sweep would merge into one run
+            close_loggers(trainer.loggers)
         if not is_rank_zero():
             raise SystemExit(0)  # the rest is done once
     if trainer.global_step < steps:
         print(f"Stopped after {trainer.global_step} of {steps} steps; to go on, add {go_on(output)}")
-    results = (output / LAST, output / BEST, *run_files(output), *sorted(output.glob("csv/*/metrics.csv")))
-    made = [*results, *sorted(output.glob("wandb/*run-*"))]
+    results = (output / LAST, best_checkpoint(trainer), *run_files(output), *sorted(output.glob("csv/*/metrics.csv")))
+    made = [*filter(None, results), *sorted(output.glob("wandb/*run-*")), *sorted(output.glob("tensorboard/*"))]
     print("Made:", *(path for path in made if path.exists()), sep="\n  ")
     return output / LAST
-
-
-def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal) -> Trainer:
-    """Return the trainer with its loggers and callbacks; nothing is started yet.
-
-    Args:
-        cfg: the config of conf/train.yaml.
-        output: folder of this run.
-        steps: training steps in all.
-        stop: ends the training at a signal.
-
-    Raises:
-        InputError: settings that Lightning refuses, such as more devices than there are.
-    """
-    try:
-        configured = [instantiate(callback) for callback in cfg.callbacks.values()]
-        trainer: Trainer = instantiate(
-            cfg.trainer,
-            callbacks=[*configured, stop, StopAtNonFinite(output)],
-            logger=make_loggers(cfg.logger),
-            plugins=[AtomicCheckpointIO()],
-            use_distributed_sampler=False,  # the data module shares windows and trajectories itself
-            val_check_interval=min(cfg.trainer.val_check_interval, steps),
-        )
-    except InstantiationException as error:
-        if isinstance(error.__cause__, MisconfigurationException | InputError):
-            raise InputError(str(error.__cause__)) from error
-        raise
-    return trainer
 
 
 def announce(
@@ -158,21 +127,10 @@ def announce(
         f"into {output}",
         flush=True,
     )
-
-
-def log_settings(loggers: Sequence[Logger], settings: dict[str, Any]) -> None:
-    """Write the resolved config to every logger, which starts them.
-
-    Raises:
-        InputError: W&B refuses to start, as it does online without an account.
-    """
-    import wandb
-
-    try:
-        for logger in loggers:
-            logger.log_hyperparams(settings)
-    except wandb.errors.Error as error:
-        raise InputError(f"W&B could not start ({error}); logger.offline=true needs no account.") from error
+    if not trainer.limit_val_batches or not datamodule.valid_names:
+        print(
+            "Nothing is held out for a validation, so there will be no best.ckpt; the result is last.ckpt.", flush=True
+        )
 
 
 def choose_features(wanted: Sequence[str] | None, available: Sequence[str]) -> list[str]:
@@ -298,20 +256,11 @@ def statistics(moments: Mapping[str, Any], dt: float, gravity: float, noise_std:
 
 def material_scale(datamodule: TrajectoryDataModule, number: int) -> torch.Tensor:
     """Return mean and standard deviation of the first K = `number` material features [2, K]; 1 where constant."""
+    if not number:
+        return torch.empty(2, 0)
     material = torch.cat([constant["material"][:, :number] for constant in datamodule.train_set.constant]).double()
     deviation = material.std(dim=0, correction=0)
     return torch.stack([material.mean(dim=0), torch.where(deviation > 1e-9, deviation, 1.0)]).float()
-
-
-def quieten() -> None:
-    """Keep Lightning's advertisements, and warnings that tell a user nothing, off the terminal."""
-    for library in ("lightning.pytorch", "lightning.fabric"):
-        logging.getLogger(library).setLevel(logging.WARNING)
-    known = ["exists and is not empty", "does not have many workers", "LeafSpec", "weights_only", "not resumable"]
-    known += ["has `__len__` defined", "in eval mode at the start of training"]
-    for message in known:
-        warnings.filterwarnings("ignore", f".*{message}")
-    warnings.filterwarnings("ignore", category=DeprecationWarning)
 
 
 def provenance(settings: Mapping[str, Any], directory: Path) -> dict[str, Any]:

@@ -54,9 +54,9 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     where = "; ".join(f"{place.machine}, {threads_of(place)} a run" for place in plan.places.values())
     title = f"{', '.join(each.name for each in plan.scenes)}: {where}"
     figures = [out / name for name in FIGURES]
-    plot_chart(marks, rates, band=plan.band, title=title, caption=under, paths=figures)
     write_atomically(out / PAGE, page(plan, points, found, rows, batches, under).encode())
     write_atomically(out / POINTS, rendered(Point, points).encode())
+    plot_chart(marks, rates, band=plan.band, title=title, caption=under, paths=figures)
     print(f"\n{under}\n")
     made = [out / PAGE, out / POINTS, *figures]
     if logger is not None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gns_pl.errors import InputError
+from gns_pl.errors import InputError, tolerated
 from gns_pl.evaluation.doors import check_figures, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.scenes import chosen
 from gns_pl.io.atomic import write_atomically
@@ -129,7 +129,8 @@ def run_suite(
     files = [table, out / "stress.md"]
     write_atomically(files[1], report.document(rows, seed).encode())
     if figures:
-        files += report.draw(rows, out, shown)
+        with tolerated("the figures"):
+            files += report.draw(rows, out, shown)
     print(report.summary_table(rows))
     print("Made:", *files, sep="\n  ")
     if logger is not None:
