@@ -174,5 +174,5 @@ def test_a_box_of_a_hundred_metres_is_felt_as_a_small_one() -> None:
 
 
 def test_a_box_whose_cells_cannot_be_numbered_is_refused() -> None:
-    with pytest.raises(InputError, match=r"box of 1e\+08 m has too many cells of the connectivity radius, 0.01 m"):
+    with pytest.raises(InputError, match=r"box of 1e\+08 m has too many cells of the radius, 0.01 m"):
         ContextGrid.of(torch.zeros(1, 3), torch.full((1, 3), 1e8), 0.01)

@@ -144,7 +144,9 @@ def test_a_grid_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.Mon
     """The grid spans the box, 11 numbers of 8 bytes a node; nothing of it is made before."""
     scene = make_box((100.0, 100.0, 100.0), Body((0.3,) * 3, (0.25,) * 3, (0.0,) * 3), duration=0.1)
     monkeypatch.setattr(gns_pl.mpm.plan, "free_memory", lambda: 8 * 10**9)
-    with pytest.raises(InputError, match=r"grid of 2,000 x 2,000 x 2,000 cells of 0.05 m, which needs 705 GB, and 8 GB"):
+    with pytest.raises(
+        InputError, match=r"grid of 2,000 x 2,000 x 2,000 cells of 0.05 m, which needs 705 GB, and 8 GB"
+    ):
         simulate(scene, make_mpm(cell_size=0.05), frame_interval=0.01)
 
 

@@ -133,8 +133,8 @@ def test_nothing_to_change(sound: Advice) -> None:
 @pytest.mark.parametrize(
     ("settings", "change"),
     [
-        ({"radius": 0.055}, "model.connectivity_radius=0.1"),
-        ({"radius": 0.2}, "model.connectivity_radius=0.1"),
+        ({"radius": 0.055}, "model.connectivity_radius=0.105"),
+        ({"radius": 0.2}, "model.connectivity_radius=0.105"),
         ({"context": False}, "model.context=true"),
         ({"noise_std": 1e-6}, "training.noise_std=0.0002"),
         ({"noise_std": 4e-3}, None),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gns_pl.conversion.facts import Facts
 from gns_pl.conversion.plan import Item
 from gns_pl.conversion.recordings import Assumed, si_blocks, start_of, whole_trajectory
+from gns_pl.data.places import advised_radius
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
@@ -23,9 +24,6 @@ from gns_pl.io.convert import ForeignSet, Recording
 from gns_pl.io.convert.geoelements import npz_writer
 from gns_pl.io.convert.lagrangebench import groups_writer
 from gns_pl.trajectory import Trajectory
-
-RADIUS = 2.0
-"""Connectivity radius where the source has none, in spacings."""
 
 
 @dataclass
@@ -64,7 +62,7 @@ class FrameStatistics:
         return {
             "bounds": [list(pair) for pair in zip(facts.lower, facts.upper, strict=True)],
             "sequence_length": min(length for lengths in self.frames.values() for length in lengths),
-            "default_connectivity_radius": RADIUS * facts.spacing if radius is None else radius * facts.scale,
+            "default_connectivity_radius": advised_radius(facts.spacing) if radius is None else radius * facts.scale,
             "dim": facts.dim,
             "dt": facts.dt,
             "vel_mean": self.velocity.mean.tolist(),
@@ -85,6 +83,7 @@ class Export:
         facts: units and axes.
         assumed: what the source does not say.
         told: called with the name of every recording that is done.
+        origins: what is taken off the positions of the recordings that were opened.
     """
 
     folder: Path
@@ -93,18 +92,27 @@ class Export:
     facts: Facts
     assumed: Assumed
     told: Callable[[str], None]
+    origins: set[tuple[float, ...]] = field(default_factory=set)
 
     def opened(self, split: str) -> Iterator[tuple[int, Item, Recording, Trajectory]]:
         """Yield number in the split, item, open recording and first frame of every recording of a split."""
         for number, item in enumerate(each for each in self.items if each.split == split):
             with self.found.recording(item.number) as recording:
-                yield (
-                    number,
-                    item,
-                    recording,
-                    start_of(recording, self.facts, self.assumed, self.found.stated, item.name),
-                )
+                start = start_of(recording, self.facts, self.assumed, self.found.stated, item.name)
+                self.origins.add(start.scene.origin)
+                yield number, item, recording, start
             self.told(item.source)
+
+    def origin(self) -> dict[str, list[float]]:
+        """Return what stands in metadata.json: whoever trains reads float32, so that positions there stay less it.
+
+        Raises:
+            InputError: recordings with several, of which the file has room for one.
+        """
+        if len(self.origins) > 1:
+            raise InputError(f"{self.found.path}: its trajectories have several origins; convert them one by one.")
+        origin = next(iter(self.origins), ())
+        return {"origin": list(origin)} if any(origin) else {}
 
 
 def write_geoelements(export: Export) -> None:
@@ -125,7 +133,7 @@ def write_geoelements(export: Export) -> None:
                 if start.material_features:
                     arrays["material"] = start.material[:, 0]
                 add(f"simulation_trajectory_{number}", arrays)
-    _write_metadata(export.folder, seen.metadata(export.found, export.facts))
+    _write_metadata(export.folder, {**seen.metadata(export.found, export.facts), **export.origin()})
 
 
 def write_lagrangebench(export: Export) -> None:
@@ -150,7 +158,7 @@ def write_lagrangebench(export: Export) -> None:
         "num_trajs_train": len(lengths["train"]),
         "num_trajs_test": len(lengths["test"]),
     }
-    _write_metadata(export.folder, {**seen.metadata(export.found, export.facts), **more})
+    _write_metadata(export.folder, {**seen.metadata(export.found, export.facts), **more, **export.origin()})
 
 
 def write_vtk(export: Export) -> None:

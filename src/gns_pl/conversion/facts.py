@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gns_pl.conversion.sample import Sample, seen_spacing, take_sample
+from gns_pl.conversion.sample import Sample, listed, seen_spacing, take_sample
+from gns_pl.data.places import check_inside
 from gns_pl.data.probes import measure_gravity
 from gns_pl.errors import InputError
 from gns_pl.io.convert import ForeignSet
+from gns_pl.scene.origin import COARSE, far_origin, without_origin
 
 EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
@@ -82,6 +83,7 @@ class Facts:
         spacing: of neighbouring particles [m].
         types: particle types of the source → ours.
         notes: what was worked out and how, sentences.
+        origin: what is taken off coordinates that are far from zero, ours [D] [m]; box and positions are less it.
     """
 
     dt: float
@@ -93,6 +95,7 @@ class Facts:
     spacing: float
     types: Mapping[int, int]
     notes: tuple[str, ...]
+    origin: tuple[float, ...]
 
     @property
     def dim(self) -> int:
@@ -151,13 +154,20 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         )
     lower, upper = given.lower or stated.lower, given.upper or stated.upper
     if lower is None or upper is None:
-        seen = (_listed(sample.lower), _listed(sample.upper))
+        seen = (listed(sample.lower, sample.extent), listed(sample.upper, sample.extent))
         asks.append(f"the box is not stated; the particles lie between {seen[0]} and {seen[1]}: give lower=… upper=…")
     elif len(lower) != dim or len(upper) != dim or any(a >= b for a, b in zip(lower, upper, strict=True)):
         raise InputError(f"{found.path}: a box from {list(lower)} to {list(upper)} does not fit {dim} dimensions.")
     spacing = given.spacing or stated.spacing or seen_spacing(sample)
     if spacing is None:
         asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
+    elif sample.rounding > COARSE * spacing:
+        raise InputError(
+            f"{found.path}: coordinates up to {sample.largest:.6g} are rounded to {sample.rounding:.2g}, as float32 "
+            f"is there, for particles {spacing:.3g} apart; write them in float64 or less an origin"
+        )
+    if spacing is not None and lower is not None and upper is not None and len(lower) == len(upper) == dim:
+        notes += _outside(found, sample, lower, upper, spacing, asks)
     gravity = given.gravity
     if gravity is None and magnitude is not None and scale is not None:
         gravity = magnitude * scale if found.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
@@ -174,16 +184,21 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         names = ", ".join("xyz"[each] for each in axes)
         notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
     vector = _vector(found, axes, gravity)
+    corners = [tuple(corner[each] * scale for each in axes) for corner in (lower, upper)]
+    origin = far_origin(*corners)
+    if any(origin):
+        notes.append(f"coordinates are far from zero: the origin {list(origin)} m is taken off them, and remembered")
     facts = Facts(
         dt=float(dt),
         scale=float(scale),
         axes=axes,
-        lower=tuple(lower[each] * scale for each in axes),
-        upper=tuple(upper[each] * scale for each in axes),
+        lower=without_origin(corners[0], origin),
+        upper=without_origin(corners[1], origin),
         gravity=vector,
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
+        origin=origin,
     )
     return Findings(facts, (), values, tuple(notes))
 
@@ -214,7 +229,7 @@ def _gravity(
         return axis, float(np.linalg.norm(vector))
     if dt is None or not sample.windows:
         return axis, None
-    rounding = float(np.finfo(np.float32).eps * max(np.abs(sample.lower).max(), np.abs(sample.upper).max()) / dt**2)
+    rounding = sample.rounding / dt**2
     second = [np.diff(window, n=2, axis=0) / dt**2 for window in sample.windows]
     acceleration = np.concatenate([each[1] for each in second])
     previous = np.concatenate([each[0] for each in second])
@@ -268,8 +283,24 @@ def axis_number(wanted: str | int, dim: int) -> int:
     return number
 
 
-def _listed(values: NDArray[np.float64]) -> list[float]:
-    return [float(f"{value:.4g}") for value in values]
+def _outside(
+    found: ForeignSet,
+    sample: Sample,
+    lower: tuple[float, ...],
+    upper: tuple[float, ...],
+    spacing: float,
+    asks: list[str],
+) -> list[str]:
+    """Ask for another box where it leaves out particles of the sample; return what is to be noted of stragglers."""
+    frames = sample.windows or [start[None] for start in sample.starts]
+    try:
+        return [note for note in (check_inside(frames, lower, upper, margin=spacing),) if note]
+    except InputError as error:
+        seen = (listed(sample.lower, sample.extent), listed(sample.upper, sample.extent))
+        asks.append(
+            f"{error}; all of them lie between {seen[0]} and {seen[1]}: give lower=… upper=…, or the right scale"
+        )
+        return []
 
 
 def _is_number(value: Any) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.conversion.facts import Facts
+from gns_pl.data.places import OutsideCounter
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.io.convert import Recording, Stated
@@ -45,11 +46,16 @@ def si_blocks(recording: Recording, facts: Facts) -> Iterator[NDArray[np.float32
     """Yield all frames of a recording in blocks, [n, N, D] [m], float32; exact where these are the source's own.
 
     Raises:
-        InputError: frames that cannot be used, or that float32 cannot hold.
+        InputError: frames that cannot be used, that float32 cannot hold, or with too many particles outside the box.
     """
+    moved = types_of(recording, facts) != int(ParticleType.KINEMATIC)
+    inside = OutsideCounter(facts.lower, facts.upper, margin=facts.spacing)
     size = max(1, BLOCK_BYTES // (8 * recording.num_particles * recording.dim))
     for start in range(0, recording.num_frames, size):
-        yield in_si(recording.frames(start, start + size), facts)
+        block = in_si(recording.frames(start, start + size), facts)
+        inside.count(block[:, moved])
+        yield block
+    inside.check()
 
 
 def in_si(position: NDArray[Any], facts: Facts) -> NDArray[np.float32]:
@@ -61,8 +67,8 @@ def in_si(position: NDArray[Any], facts: Facts) -> NDArray[np.float32]:
     if position.shape[2] != facts.dim:
         raise InputError(f"has {position.shape[2]} dimensions, other trajectories of the set {facts.dim}.")
     turned = position[:, :, list(facts.axes)]
-    if facts.scale != 1:
-        turned = turned.astype(np.float64) * facts.scale
+    if facts.scale != 1 or any(facts.origin):
+        turned = turned.astype(np.float64) * facts.scale - np.array(facts.origin)
     with np.errstate(over="ignore"):
         single = np.ascontiguousarray(turned, dtype=np.float32)
     if not np.isfinite(single).all():
@@ -84,7 +90,7 @@ def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: State
         InputError: positions outside every box, or types without a moving particle.
     """
     first = in_si(recording.frames(0, 1), facts)
-    types = np.array([facts.types.get(int(each), int(each)) for each in recording.particle_type], dtype=np.int64)
+    types = types_of(recording, facts)
     moved = types != int(ParticleType.KINEMATIC)
     if not moved.any():
         raise InputError("has kinematic particles alone, so nothing moves.")
@@ -97,6 +103,8 @@ def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: State
     if mass is None:
         mass = np.full(recording.num_particles, material.density * facts.spacing**facts.dim)
     scene = scene_of(first[0][moved], facts, material, assumed, name, (recording.num_frames - 1) * facts.dt)
+    earlier = recording.origin or stated.origin or (0.0,) * facts.dim
+    origin = tuple(zero + earlier[axis] * facts.scale for zero, axis in zip(facts.origin, facts.axes, strict=True))
     return Trajectory(
         position=first,
         particle_type=types,
@@ -105,9 +113,14 @@ def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: State
         mass=np.asarray(mass, dtype=np.float32),
         initial_velocity=_initial_velocity(recording, facts),
         dt=facts.dt,
-        scene=scene,
+        scene=scene.replace(origin=origin),
         provenance={},
     )
+
+
+def types_of(recording: Recording, facts: Facts) -> NDArray[np.int64]:
+    """Return the particle types of a recording, ours [N]."""
+    return np.array([facts.types.get(int(each), int(each)) for each in recording.particle_type], dtype=np.int64)
 
 
 def scene_of(

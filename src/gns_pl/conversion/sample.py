@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +39,23 @@ class Sample:
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     windows: list[NDArray[np.float64]]
+
+    @property
+    def largest(self) -> float:
+        """The largest coordinate, as a magnitude."""
+        return float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
+
+    @property
+    def extent(self) -> float:
+        """Longest edge of the box around all that was seen."""
+        return float((self.upper - self.lower).max())
+
+    @property
+    def rounding(self) -> float:
+        """To what coordinates are rounded: as float32 if every one that was seen is such a number, else as float64."""
+        seen = [*self.starts, *self.windows]
+        single = all((each == each.astype(np.float32)).all() for each in seen)
+        return float(np.finfo(np.float32 if single else np.float64).eps) * self.largest
 
 
 def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
@@ -94,3 +111,9 @@ def seen_spacing(sample: Sample) -> float | None:
         inside = interior_spacing(start, sample.lower, sample.upper, queries, margin=0.0)
         found.append(inside if math.isfinite(inside) and inside > 0 else nearest)
     return float(f"{np.median(found):.4g}") if found and np.median(found) > 0 else None
+
+
+def listed(values: Iterable[float], extent: float) -> list[float]:
+    """Return coordinates with as many digits as tell four of the extent of all, however far from zero they are."""
+    digits = 3 - math.floor(math.log10(extent)) if extent > 0 else 6
+    return [round(float(value), digits) for value in values]

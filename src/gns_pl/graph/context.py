@@ -19,7 +19,6 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 
-
 DENSE_NODES = 2**20
 """A box of at most so many nodes has an array of all of them; of a larger one only the nodes at particles are kept."""
 
@@ -72,7 +71,7 @@ class ContextGrid:
         if math.prod(shape) > DENSE_NODES:
             if boxes * math.prod(shape) > torch.iinfo(torch.int64).max:
                 raise InputError(
-                    f"a box of {(upper - lower).amax():.3g} m has too many cells of the connectivity radius, {cell:.3g} m; "
+                    f"a box of {(upper - lower).amax():.3g} m has too many cells of the radius, {cell:g} m; "
                     "check the unit of length, or set a larger model.connectivity_radius."
                 )
             return cls(shape, lower, cells, edge, None, None)
@@ -102,10 +101,10 @@ def context_bytes(nodes: int, boxes: int, num_particles: int, dim: int) -> int:
         num_particles: N, of all boxes.
         dim: D.
     """
-    corners = 2**dim * num_particles * (8 + 4 * (2 + dim) + 8 * (dim + 3))
+    corners = (1 << dim) * num_particles * (8 + 4 * (2 + dim) + 8 * (dim + 3))
     if nodes <= DENSE_NODES:
         return corners + DENSE_BYTES[dim] * boxes * nodes
-    return corners + SPARSE_BYTES[dim] * 2**dim * num_particles
+    return corners + SPARSE_BYTES[dim] * (1 << dim) * num_particles
 
 
 def context_fields(

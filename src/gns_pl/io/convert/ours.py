@@ -59,4 +59,5 @@ def _open(path: Path) -> Iterator[Recording]:
             material_features=header.material_features,
             initial_velocity=static["initial_velocity"].astype(np.float64),
             mass=static["mass"].astype(np.float64),
+            origin=header.scene.origin,
         )

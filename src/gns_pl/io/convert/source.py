@@ -35,6 +35,7 @@ class Stated:
         friction_angle_deg: of the material [degrees].
         radius: connectivity radius its models use.
         periodic: whether each axis is periodic [D]; empty if nothing is said.
+        origin: what an earlier conversion took off all positions, to be added on a map [D].
         metadata: the file beside the data, as it is.
         notes: sentences for the report.
     """
@@ -48,6 +49,7 @@ class Stated:
     friction_angle_deg: float | None = None
     radius: float | None = None
     periodic: tuple[bool, ...] = ()
+    origin: tuple[float, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -67,6 +69,7 @@ class Recording:
         mass: [N] [kg]; None if the source does not say.
         dtype: of the positions in the source.
         notes: sentences for the report.
+        origin: what an earlier conversion took off these positions, to be added on a map [D]; empty for nothing.
     """
 
     num_frames: int
@@ -79,6 +82,7 @@ class Recording:
     mass: NDArray[np.float64] | None = None
     dtype: str = "float32"
     notes: tuple[str, ...] = ()
+    origin: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.num_frames < 1 or len(self.particle_type) < 1:
