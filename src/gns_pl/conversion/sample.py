@@ -52,10 +52,13 @@ class Sample:
 
     @property
     def rounding(self) -> float:
-        """To what coordinates are rounded: as float32 if every one that was seen is such a number, else as float64."""
+        """To what coordinates are rounded: float32 where they are, if all are such numbers; else float32 near zero.
+
+        The latter is what is left of float64 when its origin is taken off.
+        """
         seen = [*self.starts, *self.windows]
         single = all((each == each.astype(np.float32)).all() for each in seen)
-        return float(np.finfo(np.float32 if single else np.float64).eps) * self.largest
+        return float(np.finfo(np.float32).eps) * (self.largest if single else min(self.extent, self.largest))
 
 
 def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
