@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.conversion.sample import Sample, listed, seen_spacing, take_sample
-from gns_pl.data.places import check_inside
+from gns_pl.conversion.sample import Sample, box_findings, listed, seen_spacing, take_sample
 from gns_pl.data.probes import measure_gravity
 from gns_pl.errors import InputError
 from gns_pl.io.convert import ForeignSet
@@ -167,7 +166,9 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
             f"is there, for particles {spacing:.3g} apart; write them in float64 or less an origin"
         )
     if spacing is not None and lower is not None and upper is not None and len(lower) == len(upper) == dim:
-        notes += _outside(found, sample, lower, upper, spacing, asks)
+        note, ask = box_findings(sample, lower, upper, spacing)
+        notes += [note] if note else []
+        asks += [ask] if ask else []
     gravity = given.gravity
     if gravity is None and magnitude is not None and scale is not None:
         gravity = magnitude * scale if found.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
@@ -184,23 +185,27 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         names = ", ".join("xyz"[each] for each in axes)
         notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
     vector = _vector(found, axes, gravity)
-    corners = [tuple(corner[each] * scale for each in axes) for corner in (lower, upper)]
-    origin = far_origin(*corners)
-    if any(origin):
-        notes.append(f"coordinates are far from zero: the origin {list(origin)} m is taken off them, and remembered")
+    box = near_box(*(tuple(corner[each] * scale for each in axes) for corner in (lower, upper)))
+    if any(box["origin"]):
+        text = "coordinates are far from zero: the origin {} m is taken off them, and remembered"
+        notes.append(text.format(list(box["origin"])))
     facts = Facts(
         dt=float(dt),
         scale=float(scale),
         axes=axes,
-        lower=without_origin(corners[0], origin),
-        upper=without_origin(corners[1], origin),
         gravity=vector,
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
-        origin=origin,
+        **box,
     )
     return Findings(facts, (), values, tuple(notes))
+
+
+def near_box(lower: tuple[float, ...], upper: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+    """Return the fields `lower`, `upper` and `origin` of `Facts` for a box along our axes [D] [m]."""
+    origin = far_origin(lower, upper)
+    return {"lower": without_origin(lower, origin), "upper": without_origin(upper, origin), "origin": origin}
 
 
 def turned_axes(axis: int, dim: int) -> tuple[int, ...]:
@@ -281,26 +286,6 @@ def axis_number(wanted: str | int, dim: int) -> int:
     if isinstance(wanted, bool) or number is None or not 0 <= number < dim:
         raise InputError(f"gravity_axis must be one of {', '.join(names)}, not {wanted!r}.")
     return number
-
-
-def _outside(
-    found: ForeignSet,
-    sample: Sample,
-    lower: tuple[float, ...],
-    upper: tuple[float, ...],
-    spacing: float,
-    asks: list[str],
-) -> list[str]:
-    """Ask for another box where it leaves out particles of the sample; return what is to be noted of stragglers."""
-    frames = sample.windows or [start[None] for start in sample.starts]
-    try:
-        return [note for note in (check_inside(frames, lower, upper, margin=spacing),) if note]
-    except InputError as error:
-        seen = (listed(sample.lower, sample.extent), listed(sample.upper, sample.extent))
-        asks.append(
-            f"{error}; all of them lie between {seen[0]} and {seen[1]}: give lower=… upper=…, or the right scale"
-        )
-        return []
 
 
 def _is_number(value: Any) -> bool:

@@ -23,7 +23,6 @@ from lightning.pytorch.loggers import Logger
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
-from gns_pl.data.places import check_set
 from gns_pl.errors import InputError
 from gns_pl.frame_simulator import FrameSimulator, simulator_config
 from gns_pl.generation import find_dataset, resolved_data
@@ -225,9 +224,6 @@ def build_module(
         settings: the resolved config.
         training: conf/training, checked.
         datamodule: with its training set open.
-
-    Raises:
-        InputError: particles outside their boxes, without neighbours, or too far from zero.
     """
     manifest = datamodule.manifest
     of_data: dict[str, Any] = {
@@ -238,10 +234,7 @@ def build_module(
         "material_features": choose_features(settings["model"]["material_features"], manifest.material_features),
     }
     model, elder = {**settings["model"], **of_data}, None
-    train, valid = (
-        [datamodule.directory / name for name in names] for names in (datamodule.train_names, manifest.splits["valid"])
-    )
-    check_set(train, valid, radius=model["connectivity_radius"], spacing=manifest.spacing)
+    datamodule.check_places(model["connectivity_radius"])
     if training.distil_from is not None:
         elder = Elder.read(training.distil_from, training.distil_share, simulator_config(model))
     module = SimulatorModule(
