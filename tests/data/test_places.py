@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gns_pl.data.places import advised_radius, check_inside, check_neighbours, check_set, check_start
+from gns_pl.data.places import advised_radius, check_inside, check_neighbours, check_reach, check_set
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
+from gns_pl.rollout.engine import Run, check_run
 from gns_pl.trajectory import Trajectory
+from tests.conftest import make_simulator
 from tests.data.sets import SPACING, make_flight, make_scene, write_set
 
 
@@ -82,16 +84,15 @@ def test_kinematic_particles_may_stand_outside() -> None:
     outside = trajectory.position[0, :, 0] > 0.45
     types[outside] = int(ParticleType.KINEMATIC)
     half = in_box(trajectory, upper=(0.42, 1.0, 1.0))
-    check_start(replace(half, particle_type=types), 0.11)
+    simulator = make_simulator(particle_types=(3, 6))
+    check_run(Run(replace(half, particle_type=types), 2), simulator.config)
     with pytest.raises(InputError, match=r"scene 'made_up': 108 of 216 particles"):
-        check_start(half, 0.11)
+        check_run(Run(half, 2), simulator.config)
 
 
 def test_a_run_at_a_spacing_beyond_the_radius_is_refused() -> None:
-    with pytest.raises(
-        InputError, match=r"stand for 0\.05 m each way, and the simulator's connectivity radius is 0\.025 m"
-    ):
-        check_start(flights(1)[0], 0.025)
+    with pytest.raises(InputError, match=r"stand for 0\.05 m each way, and the simulator's radius is 0\.025 m"):
+        check_reach(flights(1)[0], 0.025)
 
 
 def test_a_set_far_from_zero_is_refused(tmp_path: Path) -> None:

@@ -134,22 +134,22 @@ def check_neighbours(mean: float, *, radius: float, spacing: float) -> None:
     )
 
 
-def check_start(start: Trajectory, radius: float) -> None:
-    """Raise an `InputError` where a simulator cannot start: particles outside the box, or without neighbours.
+def check_reach(start: Trajectory, radius: float) -> None:
+    """Raise an `InputError` where a simulator's radius is below the spacing of a start, so that nobody has neighbours.
 
-    What is asked is the volume that particles stand for, not who is near: grains that are strewn may fall alone.
+    The spacing is that of the volumes that particles stand for, not of who is near: grains that are strewn may fall
+    alone.
 
     Args:
         start: its first frame is looked at.
         radius: connectivity radius of the simulator [m].
     """
-    scene, spacing = start.scene, start.spacing
+    spacing = start.spacing
     if radius < spacing:
         raise InputError(
-            f"scene {scene.name!r}: its particles stand for {spacing:.3g} m each way, and the simulator's connectivity "
-            f"radius is {radius:g} m, so that none has a neighbour; take a simulator that was trained at this spacing."
+            f"scene {start.scene.name!r}: its particles stand for {spacing:.3g} m each way, and the simulator's radius "
+            f"is {radius:g} m, so that none has a neighbour; take a simulator that was trained at this spacing."
         )
-    check_frames(f"scene {scene.name!r}", start.position[:1], start.particle_type, scene, spacing)
 
 
 def check_frames(
