@@ -156,7 +156,7 @@ def test_every_kth_point_of_a_fine_reference_is_judged(checkpoint, tmp_path, ref
     # `spreading` has 8 x 10 x 4 points and moves them by as far as they stood from the wall; kept from 0 and from 1 on.
     for every, number, last in ((2, 4 * 5 * 2, 6), (None, 2 * 3 * 1, 5)):
         chosen = data | ({"every": every} if every else {})
-        save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02), chosen, {"steps": 0}))
+        save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02, connectivity_radius=0.4), chosen, {"steps": 0}))
         scene = run(checkpoint, tmp_path, only="short")["scenes"]["short"]
         assert scene["num_particles"] == number
         assert scene["made_by"]["reference"]["every"] == (every or 4)

@@ -203,3 +203,10 @@ def test_statistics_are_root_mean_squares_with_gravity_and_noise() -> None:
     assert plain == pytest.approx({"velocity": math.sqrt(12.5), "acceleration": 1.0})
     noisy = statistics(moments, 0.1, 9.0, 0.2)
     assert noisy == pytest.approx({"velocity": math.sqrt(12.5 + 4), "acceleration": math.sqrt(1 + 400)})
+
+
+def test_a_radius_without_neighbours_is_refused_before_the_first_step(data_root: Path, tmp_path: Path) -> None:
+    """As with the default radius in a field of 100 m; said with the spacing and what to set, and nothing is left."""
+    with pytest.raises(InputError, match=r"has 0 neighbours .*= 0\.001 m, .* take model\.connectivity_radius=0\.\d+$"):
+        train(make_config(data_root, tmp_path, "model.connectivity_radius=0.001"), tmp_path, None)
+    assert not list(tmp_path.rglob("*.ckpt"))

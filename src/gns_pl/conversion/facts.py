@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gns_pl.conversion.sample import Sample, seen_spacing, take_sample
+from gns_pl.conversion.sample import Sample, box_findings, listed, seen_spacing, take_sample
 from gns_pl.data.probes import measure_gravity
 from gns_pl.errors import InputError
 from gns_pl.io.convert import ForeignSet, Stated
 from gns_pl.io.convert.ours import KIND as OURS
+from gns_pl.scene.origin import COARSE, far_origin, without_origin
 
 EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
@@ -85,6 +85,7 @@ class Facts:
         spacing: of neighbouring particles [m].
         types: particle types of the source → ours.
         notes: what was worked out and how, sentences.
+        origin: what is taken off coordinates that are far from zero, ours [D] [m]; box and positions are less it.
         given: names of what the user said, which then holds for every recording.
     """
 
@@ -97,6 +98,7 @@ class Facts:
     spacing: float
     types: Mapping[int, int]
     notes: tuple[str, ...]
+    origin: tuple[float, ...]
     given: tuple[str, ...] = ()
 
     @property
@@ -127,7 +129,24 @@ class Facts:
             changes["dt"] = float(stated.dt)
         if stated.spacing is not None and "spacing" not in self.given:
             changes["spacing"] = float(stated.spacing * self.scale)
+        if "lower" in changes or "upper" in changes:
+            lower, upper = (tuple(np.add(corner, self.origin).tolist()) for corner in (self.lower, self.upper))
+            changes |= near_box(changes.get("lower", lower), changes.get("upper", upper))
         return replace(self, **changes)
+
+    def origin_on_map(self, earlier: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the origin of a scene, what earlier conversions and this one take off [D] [m].
+
+        Args:
+            earlier: what the source says was taken off before, in its units and axes [D]; empty for nothing.
+
+        Raises:
+            InputError: an earlier origin of other dimensions.
+        """
+        if earlier and len(earlier) != self.dim:
+            raise InputError(f"has an origin of {len(earlier)} components in {self.dim} dimensions.")
+        before = earlier or (0.0,) * self.dim
+        return tuple(zero + before[axis] * self.scale for zero, axis in zip(self.origin, self.axes, strict=True))
 
 
 @dataclass(frozen=True)
@@ -181,13 +200,22 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         )
     lower, upper = given.lower or stated.lower, given.upper or stated.upper
     if lower is None or upper is None:
-        seen = (_listed(sample.lower), _listed(sample.upper))
+        seen = (listed(sample.lower, sample.extent), listed(sample.upper, sample.extent))
         asks.append(f"the box is not stated; the particles lie between {seen[0]} and {seen[1]}: give lower=… upper=…")
     elif len(lower) != dim or len(upper) != dim or any(a >= b for a, b in zip(lower, upper, strict=True)):
         raise InputError(f"{found.path}: a box from {list(lower)} to {list(upper)} does not fit {dim} dimensions.")
     spacing = given.spacing or stated.spacing or seen_spacing(sample)
     if spacing is None:
         asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
+    elif sample.rounding > COARSE * spacing:
+        raise InputError(
+            f"{found.path}: coordinates up to {sample.largest:.6g} are rounded to {sample.rounding:.2g}, as float32 "
+            f"is there, for particles {spacing:.3g} apart; write them in float64 or less an origin"
+        )
+    if spacing is not None and lower is not None and upper is not None and len(lower) == len(upper) == dim:
+        note, ask = box_findings(sample, lower, upper, spacing)
+        notes += [note] if note else []
+        asks += [ask] if ask else []
     gravity = given.gravity
     if gravity is None and magnitude is not None and scale is not None:
         gravity = magnitude * scale if found.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
@@ -204,19 +232,28 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         names = ", ".join("xyz"[each] for each in axes)
         notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
     vector = _vector(found, axes, gravity)
+    box = near_box(*(tuple(corner[each] * scale for each in axes) for corner in (lower, upper)))
+    if any(box["origin"]):
+        text = "coordinates are far from zero: the origin {} m is taken off them, and remembered"
+        notes.append(text.format(list(box["origin"])))
     facts = Facts(
         dt=float(dt),
         scale=float(scale),
         axes=axes,
-        lower=tuple(lower[each] * scale for each in axes),
-        upper=tuple(upper[each] * scale for each in axes),
         gravity=vector,
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
         given=tuple(name for name in OF_RECORDINGS if getattr(given, name) is not None),
+        **box,
     )
     return Findings(facts, (), values, tuple(notes))
+
+
+def near_box(lower: tuple[float, ...], upper: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+    """Return the fields `lower`, `upper` and `origin` of `Facts` for a box along our axes [D] [m]."""
+    origin = far_origin(lower, upper)
+    return {"lower": without_origin(lower, origin), "upper": without_origin(upper, origin), "origin": origin}
 
 
 def turned_axes(axis: int, dim: int) -> tuple[int, ...]:
@@ -251,7 +288,7 @@ def _gravity(
         return sample.dim - 1 if axis is None else axis, None
     if dt is None or not sample.windows:
         return axis, None
-    rounding = float(np.finfo(np.float32).eps * max(np.abs(sample.lower).max(), np.abs(sample.upper).max()) / dt**2)
+    rounding = sample.rounding / dt**2
     second = [np.diff(window, n=2, axis=0) / dt**2 for window in sample.windows]
     acceleration = np.concatenate([each[1] for each in second])
     previous = np.concatenate([each[0] for each in second])
@@ -303,10 +340,6 @@ def axis_number(wanted: str | int, dim: int) -> int:
     if isinstance(wanted, bool) or number is None or not 0 <= number < dim:
         raise InputError(f"gravity_axis must be one of {', '.join(names)}, not {wanted!r}.")
     return number
-
-
-def _listed(values: NDArray[np.float64]) -> list[float]:
-    return [float(f"{value:.4g}") for value in values]
 
 
 def _is_number(value: Any) -> bool:

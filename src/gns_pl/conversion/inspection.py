@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.conversion.facts import Findings, Given, find_out
-from gns_pl.conversion.sample import Sample, take_sample
+from gns_pl.conversion.sample import Sample, listed, take_sample
+from gns_pl.data.places import RADIUS
 from gns_pl.data.probes import neighbour_counts
 from gns_pl.errors import InputError
 from gns_pl.io import SPLITS
@@ -19,7 +20,7 @@ from gns_pl.io.convert import ForeignSet
 MOST_OPENED = 50
 """Recordings that are opened; of more, evenly spread ones."""
 MOST_QUERIES = 300
-RADII = (1.5, 2.0)
+RADII = (1.5, RADIUS)
 """Where no connectivity radius is stated, neighbours are counted within so many spacings."""
 
 
@@ -92,9 +93,9 @@ def _shapes(found: ForeignSet) -> list[str]:
 
 def _units(values: Mapping[str, Any], sample: Sample) -> list[str]:
     scale, axis = values.get("scale"), values.get("axis")
-    seen = f"{_numbers(sample.lower)} to {_numbers(sample.upper)}"
+    seen = f"{listed(sample.lower, sample.extent)} to {listed(sample.upper, sample.extent)}"
     lower, upper = values.get("lower"), values.get("upper")
-    box = "unknown" if lower is None or upper is None else f"{_numbers(lower)} to {_numbers(upper)}"
+    box = "unknown" if lower is None or upper is None else f"{[float(x) for x in lower]} to {[float(x) for x in upper]}"
     return [
         f"  unit of length: {'unknown' if scale is None else f'{scale:g} m'}",
         f"  time between frames: {_known(values.get('dt'), 's')}",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.data.places import check_inside
 from gns_pl.data.probes import interior_spacing, nearest_distance
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
@@ -32,6 +33,7 @@ class Sample:
         lower: least coordinates seen [D].
         upper: greatest coordinates seen [D].
         windows: four frames in a row of moved particles, each [4, N, D].
+        boxed: those of recordings that state no box of their own, and their first frames.
     """
 
     dim: int
@@ -39,6 +41,27 @@ class Sample:
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     windows: list[NDArray[np.float64]]
+    boxed: list[NDArray[np.float64]]
+
+    @property
+    def largest(self) -> float:
+        """The largest coordinate, as a magnitude."""
+        return float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
+
+    @property
+    def extent(self) -> float:
+        """Longest edge of the box around all that was seen."""
+        return float((self.upper - self.lower).max())
+
+    @property
+    def rounding(self) -> float:
+        """To what coordinates are rounded: float32 where they are, if all are such numbers; else float32 near zero.
+
+        The latter is what is left of float64 when its origin is taken off.
+        """
+        seen = [*self.starts, *self.windows]
+        single = all((each == each.astype(np.float32)).all() for each in seen)
+        return float(np.finfo(np.float32).eps) * (self.largest if single else min(self.extent, self.largest))
 
 
 def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
@@ -53,6 +76,7 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
     """
     chosen = np.unique(np.linspace(0, len(found.names) - 1, SAMPLE).round().astype(int))
     starts, windows, dims = [], [], set()
+    boxed: list[NDArray[np.float64]] = []
     lowest: list[NDArray[np.float64]] = []
     highest: list[NDArray[np.float64]] = []
     for number in chosen.tolist():
@@ -63,6 +87,8 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
                 continue
             some = moved[:: max(1, len(moved) // MOST_PARTICLES)]
             starts.append(recording.frames(0, 1)[0, moved].astype(np.float64))
+            common = recording.stated is None or recording.stated.lower is None
+            boxed += [starts[-1][None]] if common else []
             last = max(0, recording.num_frames - 4)
             places = np.unique(np.concatenate([np.arange(3), np.linspace(0, last, WINDOWS)]).round().astype(int))
             for place in places[places <= last].tolist():
@@ -71,11 +97,12 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
                 highest.append(whole.max(axis=(0, 1)).astype(np.float64))
                 if len(whole) == 4:
                     windows.append(whole[:, some].astype(np.float64))
+                    boxed += windows[-1:] if common else []
     if len(dims) > 1:
         raise InputError(f"{found.path}: holds trajectories in two and in three dimensions; convert them apart.")
     if not starts:
         raise InputError(f"{found.path}: all its particles are kinematic, so nothing moves.")
-    return Sample(dims.pop(), starts, np.min(lowest, axis=0), np.max(highest, axis=0), windows)
+    return Sample(dims.pop(), starts, np.min(lowest, axis=0), np.max(highest, axis=0), windows, boxed)
 
 
 def _moved(recording: Recording, types: Mapping[int, int]) -> NDArray[np.bool_]:
@@ -94,3 +121,25 @@ def seen_spacing(sample: Sample) -> float | None:
         inside = interior_spacing(start, sample.lower, sample.upper, queries, margin=0.0)
         found.append(inside if math.isfinite(inside) and inside > 0 else nearest)
     return float(f"{np.median(found):.4g}") if found and np.median(found) > 0 else None
+
+
+def listed(values: Iterable[float], extent: float) -> list[float]:
+    """Return coordinates with as many digits as tell four of the extent of all, however far from zero they are."""
+    digits = 3 - math.floor(math.log10(extent)) if extent > 0 else 6
+    return [round(float(value), digits) for value in values]
+
+
+def box_findings(sample: Sample, lower: tuple[float, ...], upper: tuple[float, ...], spacing: float) -> tuple[str, str]:
+    """Return what is to be noted of particles outside a box, and the question for another one; empty where nothing is.
+
+    Args:
+        sample: whose recordings without a box of their own are looked at.
+        lower: lower corner of the box [D].
+        upper: upper corner of the box [D].
+        spacing: particles outside by less are not counted.
+    """
+    try:
+        return check_inside(sample.boxed, lower, upper, margin=spacing), ""
+    except InputError as error:
+        seen = f"{listed(sample.lower, sample.extent)} and {listed(sample.upper, sample.extent)}"
+        return "", f"{error}; all are between {seen}: give lower=… upper=…, or the right scale=…"

@@ -51,7 +51,7 @@ def judge_scene(
     """Run one scene by the learned simulator, and measure both.
 
     The rollout starts from the reference's first frame, so both have the same particles, one to one. A rollout that
-    ends before the reference or stops being finite is reported as failed; nothing is raised.
+    ends before the reference or stops being finite is reported as failed.
 
     Args:
         name: of the scene, for messages.
@@ -60,7 +60,11 @@ def judge_scene(
         stabilise: arguments of `rollout.stabilise.stabilise`.
         placements: number of runs from other placements, for a band on the runout.
         seed: of the first of them.
+
+    Raises:
+        InputError: particles without a neighbour within the simulator's radius, or outside their box.
     """
+    from gns_pl.data.places import check_reach
     from gns_pl.evaluation.bands import ensemble_bands
     from gns_pl.rollout import rollout
     from gns_pl.rollout.failure import first_failure
@@ -71,6 +75,7 @@ def judge_scene(
 
     simulator = stabilised(checkpoint.simulator, **(stabilise or {}))
     truth = reference.trajectory
+    check_reach(truth, checkpoint.simulator.config.connectivity_radius)
     with counting(f"{name}: learned rollout", truth.dt) as on_step:
         learned = rollout(simulator, truth, truth.num_frames - 1, on_step=on_step)
     kept = {} if simulator is checkpoint.simulator else dict(stabilise or {})

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gns_pl.checkpoint import Checkpoint
+from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
 from gns_pl.evaluation.measures import particle_spacing, sinkhorn_distance
 from gns_pl.evaluation.metrics import profile_l1, summarise
@@ -103,7 +104,7 @@ def stored_references(checkpoint: Checkpoint, split: str) -> dict[str, Reference
         split: "train", "valid" or "test".
 
     Raises:
-        InputError: an unknown split, or data that are not there.
+        InputError: an unknown split, data that are not there, or particles outside their boxes.
     """
     data: Mapping[str, Any] = checkpoint.data
     if "root" not in data:
@@ -120,4 +121,10 @@ def stored_references(checkpoint: Checkpoint, split: str) -> dict[str, Reference
         raise InputError(f"evaluation.split must be one of {', '.join(manifest.splits)}, not {split!r}.")
     stride = round(checkpoint.simulator.config.dt / manifest.dt)
     names = manifest.splits[split]
-    return {Path(name).stem: Reference(read_trajectory(folder / name).every(stride)) for name in names}
+    references = {}
+    for name in names:
+        trajectory = read_trajectory(folder / name).every(stride)
+        place = str(folder / name)
+        check_frames(place, trajectory.position, trajectory.particle_type, trajectory.scene, manifest.spacing)
+        references[Path(name).stem] = Reference(trajectory)
+    return references

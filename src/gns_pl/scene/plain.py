@@ -13,6 +13,7 @@ import yaml
 from gns_pl.errors import InputError
 from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall
 from gns_pl.scene.definition import Body, Material, Scene
+from gns_pl.scene.origin import near_origin
 
 OBSTACLES: dict[str, type[Obstacle]] = {"plane": Plane, "box": Box}
 """Kind of obstacle → its class."""
@@ -70,7 +71,7 @@ def _obstacle(owner: str, data: Any) -> Obstacle:
 
 
 def read_scene(path: str | Path) -> Scene:
-    """Read a scene from a `.yaml`, `.yml` or `.json` file.
+    """Read a scene from a `.yaml`, `.yml` or `.json` file; one on a map is moved near zero (`Scene.origin`).
 
     Raises:
         InputError: no such file, not YAML or JSON, or not a scene; the file is named.
@@ -83,7 +84,7 @@ def read_scene(path: str | Path) -> Scene:
     except (yaml.YAMLError, UnicodeDecodeError):
         raise InputError(f"{path}: is not YAML or JSON.") from None
     try:
-        return scene_from_dict(data)
+        return near_origin(scene_from_dict(data))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 from gns_pl.errors import InputError
+from gns_pl.machine import free_memory
 
 LARGEST_RATIO = 1100
 """Deflate, zlib and HDF5's gzip never shrink anything by more than 1032 times."""
@@ -34,12 +32,3 @@ def check_memory(needed: int, what: str) -> None:
             f"{what} needs {needed / 1e9:.3g} GB in memory at once and {free / 1e9:.3g} GB are free; split it, or take "
             "a larger machine."
         )
-
-
-def free_memory() -> int:
-    """Return the bytes that can still be used; all of the machine's where the system does not say more."""
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
-    except (OSError, StopIteration, ValueError):
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

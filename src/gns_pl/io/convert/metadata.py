@@ -98,6 +98,7 @@ def stated_of(metadata: Mapping[str, Any], path: Path) -> Stated:
             spacing=positive(metadata, "dx"),
             radius=positive(metadata, "default_connectivity_radius"),
             periodic=tuple(bool(axis) for axis in periodic),
+            origin=_origin(metadata, lower),
             metadata=dict(metadata),
         )
 
@@ -113,6 +114,14 @@ def _bounds(metadata: Mapping[str, Any]) -> tuple[tuple[float, ...] | None, tupl
     if not np.isfinite(bounds).all() or not (bounds[:, 0] < bounds[:, 1]).all():
         raise InputError("bounds must be finite, the lower one below the upper.")
     return tuple(bounds[:, 0].tolist()), tuple(bounds[:, 1].tolist())
+
+
+def _origin(metadata: Mapping[str, Any], lower: tuple[float, ...] | None) -> tuple[float, ...]:
+    """Return what our own export says was taken off all positions [D]; empty if it says nothing."""
+    origin = np.asarray(metadata.get("origin", ()), dtype=np.float64)
+    if origin.ndim != 1 or not np.isfinite(origin).all() or (len(origin) and lower and len(origin) != len(lower)):
+        raise InputError("origin must be a finite number for each axis.")
+    return tuple(origin.tolist())
 
 
 def positive(metadata: Mapping[str, Any], key: str) -> float | None:

@@ -36,6 +36,7 @@ class Stated:
         friction_angle_deg: of the material [degrees].
         radius: connectivity radius its models use.
         periodic: whether each axis is periodic [D]; empty if nothing is said.
+        origin: what an earlier conversion took off all positions, to be added on a map [D]; empty for nothing.
         metadata: the file beside the data, as it is: metadata.json, or a manifest of ours.
         notes: sentences for the report.
     """
@@ -49,6 +50,7 @@ class Stated:
     friction_angle_deg: float | None = None
     radius: float | None = None
     periodic: tuple[bool, ...] = ()
+    origin: tuple[float, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
