@@ -39,7 +39,7 @@ def convert_config(cfg: DictConfig) -> None:
     from gns_pl.conversion.recordings import Assumed
     from gns_pl.io.convert import open_set
 
-    named = ("dt", "scale", "gravity", "gravity_axis", "lower", "upper", "spacing", "types")
+    named = ("dt", "scale", "gravity", "gravity_axis", "lower", "upper", "spacing", "types", "material_value")
     given = Given(**{key: settings.pop(key) for key in named})
     assumed = Assumed(settings.pop("material"), settings.pop("wall"))
     found = open_set(source, **of_files)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.conversion.facts import Facts
+from gns_pl.conversion.material_value import METADATA_KEY
 from gns_pl.conversion.plan import Item
 from gns_pl.conversion.recordings import Assumed, si_blocks, start_of, whole_trajectory
 from gns_pl.data.statistics import RunningStatistics
@@ -113,7 +114,7 @@ def write_geoelements(export: Export) -> None:
     Raises:
         InputError: more than one material feature, or a recording that cannot be used.
     """
-    seen = FrameStatistics(export.facts.dim)
+    seen, feature = FrameStatistics(export.facts.dim), None
     for split in _splits(export.items):
         with npz_writer(export.folder / f"{split}.npz") as add:
             for number, item, recording, start in export.opened(split):
@@ -123,9 +124,11 @@ def write_geoelements(export: Export) -> None:
                 whole = whole_trajectory(start, recording.num_frames, blocks)
                 arrays: dict[str, NDArray[Any]] = {"position": whole.position, "particle_type": start.particle_type}
                 if start.material_features:
+                    feature = start.material_features[0]
                     arrays["material"] = start.material[:, 0]
                 add(f"simulation_trajectory_{number}", arrays)
-    _write_metadata(export.folder, seen.metadata(export.found, export.facts))
+    content = seen.metadata(export.found, export.facts)
+    _write_metadata(export.folder, content if feature is None else {**content, METADATA_KEY: feature})
 
 
 def write_lagrangebench(export: Export) -> None:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.conversion.material_value import check_material_value, material_question, stated_meaning
 from gns_pl.conversion.sample import Sample, seen_spacing, take_sample
 from gns_pl.data.probes import measure_gravity
 from gns_pl.errors import InputError
-from gns_pl.io.convert import ForeignSet
+from gns_pl.io.convert import ForeignSet, Stated
 
 EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
 METRES = 0.03
 """Free fall within this share of it is in metres and seconds."""
+OTHER_SPACING = 2.5
+"""Ratio of a stated spacing to the seen one from which on it is that of other particles."""
 SI_KINDS = ("CB-Geo MPM", "gns_pl")
 """Sources that are in SI units by their own definition."""
 AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
@@ -37,6 +40,8 @@ class Given:
         upper: upper corner of the box [D].
         spacing: of neighbouring particles.
         types: particle types of the source → ours, where they differ.
+        material_value: what a material value of unknown meaning is: "tan" φ, φ in "degrees" or "radians", "phi/70", or
+            "none" to leave it out.
     """
 
     dt: float | None = None
@@ -47,6 +52,7 @@ class Given:
     upper: tuple[float, ...] | None = None
     spacing: float | None = None
     types: Mapping[int, int] = field(default_factory=dict)
+    material_value: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("dt", "scale", "spacing"):
@@ -66,6 +72,8 @@ class Given:
         except (TypeError, ValueError):
             raise InputError(f"types must map numbers to numbers, as types={{0:6}}, not {self.types!r}.") from None
         object.__setattr__(self, "types", types)
+        if self.material_value is not None:
+            check_material_value(self.material_value)
 
 
 @dataclass(frozen=True)
@@ -82,6 +90,8 @@ class Facts:
         spacing: of neighbouring particles [m].
         types: particle types of the source → ours.
         notes: what was worked out and how, sentences.
+        material_value: as `Given`; None where no trajectory that was looked at needs it.
+        fixed: "box" and "gravity" where the user gave them, for all trajectories.
     """
 
     dt: float
@@ -93,6 +103,18 @@ class Facts:
     spacing: float
     types: Mapping[int, int]
     notes: tuple[str, ...]
+    material_value: str | None = None
+    fixed: tuple[str, ...] = ()
+
+    def of(self, own: Stated | None) -> Facts:
+        """Return the facts of one trajectory: its own box and gravity where it states them and the user does not."""
+        changes: dict[str, Any] = {}
+        if own is not None and own.lower is not None and own.upper is not None and "box" not in self.fixed:
+            changes["lower"] = tuple(own.lower[each] * self.scale for each in self.axes)
+            changes["upper"] = tuple(own.upper[each] * self.scale for each in self.axes)
+        if own is not None and own.gravity is not None and "gravity" not in self.fixed:
+            changes["gravity"] = tuple(own.gravity[each] * self.scale for each in self.axes)
+        return replace(self, **changes)
 
     @property
     def dim(self) -> int:
@@ -155,16 +177,18 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         asks.append(f"the box is not stated; the particles lie between {seen[0]} and {seen[1]}: give lower=… upper=…")
     elif len(lower) != dim or len(upper) != dim or any(a >= b for a, b in zip(lower, upper, strict=True)):
         raise InputError(f"{found.path}: a box from {list(lower)} to {list(upper)} does not fit {dim} dimensions.")
-    spacing = given.spacing or stated.spacing or seen_spacing(sample)
-    if spacing is None:
-        asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
+    asks += [question for name, question in stated.questions.items() if getattr(given, name) is None]
+    material_value = given.material_value or stated_meaning(stated.metadata)
+    if sample.material is not None and material_value is None:
+        asks.append(material_question(*sample.material))
+    spacing = given.spacing or _spacing(found, sample, asks)
     gravity = given.gravity
     if gravity is None and magnitude is not None and scale is not None:
         gravity = magnitude * scale if found.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
     if axis is not None and gravity is None and scale is not None:
         asks.append("how strong gravity is, is not stated and cannot be seen: give gravity=9.81")
     values = {"dt": dt, "scale": scale, "axis": axis, "gravity": gravity, "lower": lower, "upper": upper,
-              "spacing": spacing, "dim": dim}  # fmt: skip
+              "spacing": spacing, "dim": dim, "material_value": material_value}  # fmt: skip
     known = (dt, scale, axis, gravity, lower, upper, spacing)
     if asks or any(value is None for value in known):
         return Findings(None, tuple(asks), values, tuple(notes))
@@ -174,6 +198,7 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         names = ", ".join("xyz"[each] for each in axes)
         notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
     vector = _vector(found, axes, gravity)
+    own = {"box": (given.lower, given.upper), "gravity": (given.gravity, given.gravity_axis)}
     facts = Facts(
         dt=float(dt),
         scale=float(scale),
@@ -184,8 +209,24 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
+        material_value=material_value,
+        fixed=tuple(name for name, value in own.items() if any(each is not None for each in value)),
     )
     return Findings(facts, (), values, tuple(notes))
+
+
+def _spacing(found: ForeignSet, sample: Sample, asks: list[str]) -> float | None:
+    """Return the spacing as stated, where it fits the particles, or as seen; None where it has to be asked for."""
+    if "spacing" in found.stated.questions:
+        return None
+    stated, seen = found.stated.spacing, seen_spacing(sample)
+    ratio = stated / seen if stated is not None and seen is not None and found.kind != "gns_pl" else 1.0
+    if not 1 / OTHER_SPACING < ratio < OTHER_SPACING:
+        asks.append(f"the stated spacing, {stated:g}, does not fit particles {seen:g} apart: give spacing=…")
+        return None
+    if stated is None and seen is None:
+        asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
+    return stated or seen
 
 
 def turned_axes(axis: int, dim: int) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gns_pl.data.probes import interior_spacing, nearest_distance
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
-from gns_pl.io.convert import ForeignSet, Recording
+from gns_pl.io.convert import UNCERTAIN_MATERIAL, ForeignSet, Recording
 
 SAMPLE = 4
 """Recordings that are looked at."""
@@ -32,6 +32,7 @@ class Sample:
         lower: least coordinates seen [D].
         upper: greatest coordinates seen [D].
         windows: four frames in a row of moved particles, each [4, N, D].
+        material: least and greatest material value whose meaning is not stated; None without such.
     """
 
     dim: int
@@ -39,6 +40,7 @@ class Sample:
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     windows: list[NDArray[np.float64]]
+    material: tuple[float, float] | None = None
 
 
 def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
@@ -53,11 +55,14 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
     """
     chosen = np.unique(np.linspace(0, len(found.names) - 1, SAMPLE).round().astype(int))
     starts, windows, dims = [], [], set()
+    values: list[float] = []
     lowest: list[NDArray[np.float64]] = []
     highest: list[NDArray[np.float64]] = []
     for number in chosen.tolist():
         with found.recording(number) as recording:
             dims.add(recording.dim)
+            if recording.material_features == (UNCERTAIN_MATERIAL,):
+                values += [float(recording.material.min()), float(recording.material.max())]
             moved = np.flatnonzero(recording.moved if not types else _moved(recording, types))
             if not len(moved):
                 continue
@@ -75,7 +80,8 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
         raise InputError(f"{found.path}: holds trajectories in two and in three dimensions; convert them apart.")
     if not starts:
         raise InputError(f"{found.path}: all its particles are kinematic, so nothing moves.")
-    return Sample(dims.pop(), starts, np.min(lowest, axis=0), np.max(highest, axis=0), windows)
+    material = (min(values), max(values)) if values else None
+    return Sample(dims.pop(), starts, np.min(lowest, axis=0), np.max(highest, axis=0), windows, material)
 
 
 def _moved(recording: Recording, types: Mapping[int, int]) -> NDArray[np.bool_]:

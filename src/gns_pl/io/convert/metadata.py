@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
+from gns_pl.io.convert.limits import read_bounded
 from gns_pl.io.convert.source import Stated, reading
 
 NAME = "metadata.json"
@@ -26,9 +27,7 @@ def read_json(path: Path) -> dict[str, Any]:
         InputError: no such file, too large for what it should be, or not an object; the file is named.
     """
     with reading(path):
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError(f"has {path.stat().st_size:,} bytes, too many for settings.")
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_bounded(path, MOST_BYTES, "settings"))
         if not isinstance(content, dict):
             raise InputError("must hold an object of names and values.")
         return content
@@ -41,7 +40,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
         InputError: a file that is there and cannot be used.
     """
     path = folder / NAME
-    if not path.exists():
+    if not path.exists() and not path.is_symlink():
         return {}
     content = read_json(path)
     parts = [content[key] for key in ("train", "rollout") if isinstance(content.get(key), Mapping)]

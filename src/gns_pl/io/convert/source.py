@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 
+UNCERTAIN_MATERIAL = "material_property"
+"""Name of a material feature of which the source does not say whether it is tan φ, φ or a share of it."""
 MOST_TYPES = 1000
 """Numbers of particle types beyond ± this are taken for damage."""
 
@@ -36,6 +38,7 @@ class Stated:
         radius: connectivity radius its models use.
         periodic: whether each axis is periodic [D]; empty if nothing is said.
         metadata: the file beside the data, as it is.
+        questions: name of an argument → sentence that asks for it where it is not given.
         notes: sentences for the report.
     """
 
@@ -49,6 +52,7 @@ class Stated:
     radius: float | None = None
     periodic: tuple[bool, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    questions: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
@@ -66,6 +70,7 @@ class Recording:
         initial_velocity: at the first frame [N, D], length units of the source per second; None if it does not say.
         mass: [N] [kg]; None if the source does not say.
         dtype: of the positions in the source.
+        stated: what the source says of this trajectory alone; None: what it says of all of them.
         notes: sentences for the report.
     """
 
@@ -78,6 +83,7 @@ class Recording:
     initial_velocity: NDArray[np.float64] | None = None
     mass: NDArray[np.float64] | None = None
     dtype: str = "float32"
+    stated: Stated | None = None
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory
+from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory, regular_size
 
 KINDS = {
     "Float32": "f4", "Float64": "f8", "Int8": "i1", "Int16": "i2", "Int32": "i4", "Int64": "i8",
@@ -43,7 +43,7 @@ def read_points(path: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
     Raises:
         InputError: no such file, or one whose numbers do not fit what it claims.
     """
-    check_memory(3 * path.stat().st_size, "the file")
+    check_memory(3 * regular_size(path), "the file")
     root, encoding = _parse(path.read_bytes())
     kind = root.get("type", "")
     if kind not in PIECES:
