@@ -12,6 +12,7 @@ import pytest
 
 from gns_pl.conversion.weights import inspect_weights
 from gns_pl.errors import InputError
+from gns_pl.io import read_header, read_manifest
 from gns_pl.io.convert import open_set
 from tests.io.convert import test_fuzz
 
@@ -51,10 +52,10 @@ def test_no_reader_opens_one(make: Callable[[Path], Path], replace: Callable[[Pa
         if victim.name == "mpm.json":
             assert any("no JSON deck was found" in note for note in open_set(tmp_path).stated.notes)
         else:
-            with pytest.raises(InputError, match="is a pipe, a device or a folder, which is not read") as caught:
+            with pytest.raises(InputError, match="is a pipe or a device, which is not read") as caught:
                 test_fuzz.read_all(tmp_path)
             assert victim.name in str(caught.value)
-        with pytest.raises(InputError, match="pipe, a device or a folder"):
+        with pytest.raises(InputError, match="pipe or a device"):
             open_set(victim)
 
 
@@ -62,11 +63,19 @@ def test_no_reader_opens_one(make: Callable[[Path], Path], replace: Callable[[Pa
 def test_a_named_deck_and_the_metadata_of_weights(tmp_path: Path, replace: Callable[[Path], None]) -> None:
     test_fuzz._cb_geo(tmp_path)
     replace(tmp_path / "other.json")
-    with in_time(tmp_path / "other.json"), pytest.raises(InputError, match=r"other\.json: is a pipe, a device"):
+    with in_time(tmp_path / "other.json"), pytest.raises(InputError, match=r"other\.json: is a pipe or a device"):
         open_set(tmp_path, deck=tmp_path / "other.json")
     replace(tmp_path / "model.pt")
     with in_time(tmp_path / "model.pt"), pytest.raises(InputError, match=r"model\.pt"):
         inspect_weights(tmp_path / "model.pt", None)
+
+
+@pytest.mark.parametrize("replace", [pipe, zeros])
+@pytest.mark.parametrize("name", ["a.h5", "manifest.json"])
+def test_a_set_of_ours(tmp_path: Path, replace: Callable[[Path], None], name: str) -> None:
+    replace(tmp_path / name)
+    with in_time(tmp_path / name), pytest.raises(InputError, match=rf"{name}: is a pipe or a device"):
+        read_manifest(tmp_path) if name == "manifest.json" else read_header(tmp_path / name)
 
 
 def test_a_link_to_nothing_is_told(tmp_path: Path) -> None:
@@ -82,7 +91,7 @@ def test_a_link_to_nothing_is_told(tmp_path: Path) -> None:
 
 def test_settings_of_more_bytes_than_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     test_fuzz._geoelements(tmp_path)
-    monkeypatch.setattr("gns_pl.io.convert.limits.regular_size", lambda path: 0)
+    monkeypatch.setattr("gns_pl.io.regular.regular_size", lambda path: 0)
     monkeypatch.setattr("gns_pl.io.convert.metadata.MOST_BYTES", 100)
     with pytest.raises(InputError, match="has 101 bytes, too many for settings"):
         open_set(tmp_path, trust=True)

@@ -70,6 +70,18 @@ def test_a_file_for_each_attribute_is_one_trajectory(tmp_path: Path) -> None:
     assert any("displacements, geometry, stresses, velocities" in note for note in found.stated.notes)
 
 
+def test_the_deck_of_a_series_is_named(tmp_path: Path) -> None:
+    write_as_cb_geo(tmp_path / "results", POSITION)
+    deck = fixtures.write_deck(tmp_path, dt=1e-4, frictions={0: 35})
+    found = open_set(tmp_path / "results", deck=deck)
+    assert found.stated.dt == pytest.approx(0.01) and found.stated.gravity == (0, 0, -9.81)
+    with found.recording(0) as recording:
+        np.testing.assert_allclose(recording.material, np.tan(np.radians(35)), rtol=1e-6)
+    np.savez(tmp_path / "a.npz", position=POSITION)
+    with pytest.raises(InputError, match="no runs of CB-Geo MPM and no VTK series of one, to which deck= belongs"):
+        open_set(tmp_path / "a.npz", deck=deck)
+
+
 @pytest.mark.parametrize(("cell", "left_out"), [(12, True), (1, False)])
 def test_solids_beside_particles_are_a_mesh(tmp_path: Path, cell: int, left_out: bool) -> None:
     fixtures.write_vtk(tmp_path, POSITION, dt=None)

@@ -81,27 +81,19 @@ def open_cb_geo(path: Path, folders: list[Path], *, deck: Path | None, lost: str
 
 def _stated(run: Run, deck: Deck) -> Stated:
     """Return what a run says by its deck and its first file."""
-    dt, notes = None, list(deck.notes)
-    steps = list(run.steps)
+    first = next(iter(run.steps))
     with reading(run.folder):
-        rows = read_table(run.steps[steps[0]])
-    if deck.dt is not None and run.step is not None:
-        dt = run.step * deck.dt
-        notes.append(f"the first frame is {(steps[0] + 1) * deck.dt:g} s after the start of the run")
-    spacing, density = None, deck.shared("density")
+        rows = read_table(run.steps[first])
+    stated = deck.stated(run.step, first)
+    spacing, density = None, stated.density
     if "volume" in (rows.dtype.names or ()) and len(rows) and (rows["volume"] > 0).all():
         spacing = float(f"{np.median(rows['volume']) ** (1 / _dim(deck, [rows])):.6g}")
         if density is None and deck.materials and "mass" in (rows.dtype.names or ()):
             density = float(f"{rows['mass'].sum() / rows['volume'].sum():.6g}")
-    return Stated(
-        dt=dt,
-        lower=deck.lower,
-        upper=deck.upper,
-        gravity=deck.gravity,
+    return replace(
+        stated,
         spacing=spacing if spacing is not None and np.isfinite(spacing) else None,
         density=density if density is not None and np.isfinite(density) and density > 0 else None,
-        friction_angle_deg=deck.shared("friction_angle_deg"),
-        notes=tuple(notes),
     )
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.limits import regular_size
 from gns_pl.io.convert.metadata import positive, read_json
-from gns_pl.io.convert.source import reading
+from gns_pl.io.convert.source import Stated, reading
+from gns_pl.io.regular import regular_size
 
 MOST_MESH_BYTES = 2_000_000_000
 
@@ -60,6 +60,27 @@ class Deck:
         """Return what all materials have in common, "density" or "friction_angle_deg"; None if it differs."""
         values = {getattr(material, name) for material in self.materials.values()}
         return values.pop() if len(values) == 1 else None
+
+    def stated(self, step: int | None, first: int) -> Stated:
+        """Return what the deck states of a run.
+
+        Args:
+            step: solver steps between saved ones; None where there is one saved step.
+            first: number of the first saved step.
+        """
+        dt, notes = None, list(self.notes)
+        if self.dt is not None and step is not None:
+            dt = step * self.dt
+            notes.append(f"the first frame is {(first + 1) * self.dt:g} s after the start of the run")
+        return Stated(
+            dt=dt,
+            lower=self.lower,
+            upper=self.upper,
+            gravity=self.gravity,
+            density=self.shared("density"),
+            friction_angle_deg=self.shared("friction_angle_deg"),
+            notes=tuple(notes),
+        )
 
 
 def read_deck(path: Path) -> Deck:

@@ -13,11 +13,11 @@ from gns_pl.io.convert.arrays import open_arrays
 from gns_pl.io.convert.cb_geo_runs import find_runs
 from gns_pl.io.convert.groups import group_names, open_hdf5
 from gns_pl.io.convert.learning_to_simulate import open_learning_to_simulate
-from gns_pl.io.convert.limits import regular_size
 from gns_pl.io.convert.npy import members, open_member
 from gns_pl.io.convert.ours import open_ours
 from gns_pl.io.convert.source import ForeignSet, reading
 from gns_pl.io.convert.vtk import ENDINGS, open_vtk
+from gns_pl.io.regular import regular_size
 from gns_pl.io.schema import FORMAT_NAME
 
 MOST_FILES = 1_000_000
@@ -33,7 +33,7 @@ def open_set(
     Args:
         source: file or folder.
         trust: read pickled arrays of geoelements/gns, without running anything that stands in them.
-        deck: JSON input of a CB-Geo MPM run; None looks for it.
+        deck: JSON input of CB-Geo MPM runs, or of a VTK series of one; None looks for those of runs.
         lost: what to do with particles that left CB-Geo's mesh: "refuse" the run, or "drop" them from all frames.
 
     Raises:
@@ -49,12 +49,13 @@ def open_set(
         return cb_geo.open_cb_geo(path, folders, deck=None if deck is None else Path(deck), lost=lost)
     files = _files(path)
     _check_packed(path, files)
-    for ending, known in ((".tfrecord", open_learning_to_simulate), (".pvd", open_vtk)):
-        if files.get(ending):
-            return known(path, files[ending])
-    frames = [file for ending in ENDINGS for file in files.get(ending, [])]
-    if frames:
-        return open_vtk(path, sorted(frames))
+    frames = files.get(".pvd") or sorted(file for ending in ENDINGS for file in files.get(ending, []))
+    if frames and not files.get(".tfrecord"):
+        return open_vtk(path, frames, deck=None if deck is None else Path(deck))
+    if deck is not None:
+        raise InputError(f"{path}: holds no runs of CB-Geo MPM and no VTK series of one, to which deck= belongs.")
+    if files.get(".tfrecord"):
+        return open_learning_to_simulate(path, files[".tfrecord"])
     if files.get(".h5"):
         return _open_hdf5(path, files[".h5"])
     archives = files.get(".npz", [])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory, regular_size, unpacked_gzip
+from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory, unpacked_gzip
 from gns_pl.io.convert.source import (
     UNCERTAIN_MATERIAL,
     Recording,
@@ -21,6 +21,7 @@ from gns_pl.io.convert.source import (
     checked_types,
     without_material,
 )
+from gns_pl.io.regular import regular_size
 
 
 @contextmanager

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.limits import read_bounded
 from gns_pl.io.convert.source import Stated, reading
+from gns_pl.io.regular import read_bounded
 
 NAME = "metadata.json"
 MOST_BYTES = 10_000_000

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory, regular_size
+from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory
 from gns_pl.io.convert.pickled import checked_shape
+from gns_pl.io.regular import regular_size
 
 MAGIC = b"\x93NUMPY"
 MOST_HEADER = 10_000

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.limits import check_memory, regular_size
+from gns_pl.io.convert.limits import check_memory
+from gns_pl.io.regular import regular_size
 
 _POLYNOMIAL = 0x82F63B78  # 1EDC6F41 with its bits reversed
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.fields import INITIAL_VELOCITY, MASS, MATERIAL_FEATURES, PARTICLE_TYPE, ParticleType
+from gns_pl.io.convert.deck import read_deck
 from gns_pl.io.convert.source import (
     ForeignSet,
     Recording,
@@ -38,27 +40,33 @@ Order = Callable[[NDArray[Any], Carried], NDArray[np.int64]]
 """Points of a frame and what they carry → [N] place in the frame of each particle."""
 
 
-def open_vtk(path: Path, files: Sequence[Path]) -> ForeignSet:
+def open_vtk(path: Path, files: Sequence[Path], *, deck: Path | None = None) -> ForeignSet:
     """Return a set of series.
 
     Args:
         path: folder or file, as the user named it.
         files: .pvd lists; or, where there is none, the files of frames.
+        deck: JSON input of CB-Geo MPM, where it wrote the series: numbers are then its solver steps.
 
     Raises:
-        InputError: lists that cannot be used, or frames that are missing.
+        InputError: lists or a deck that cannot be used, or frames that are missing.
     """
     series, notes = find_series(files, path if path.is_dir() else path.parent)
+    kind, stated = "VTK series", Stated(dt=next((each.dt for each in series if each.dt is not None), None))
+    if deck is not None:
+        step = next((each.numbers[1] - each.numbers[0] for each in series if len(each.numbers) > 1), None)
+        by_deck = read_deck(deck).stated(step, series[0].numbers[0])
+        kind, stated = "CB-Geo MPM", by_deck if stated.dt is None else replace(by_deck, dt=stated.dt)
 
     def opener(number: int) -> AbstractContextManager[Recording]:
-        return _open(series[number])
+        return _open(series[number], stated.friction_angle_deg)
 
-    stated = Stated(dt=next((each.dt for each in series if each.dt is not None), None), notes=tuple(notes))
-    return ForeignSet("VTK series", path, tuple((each.split, each.name) for each in series), opener, stated)
+    names = tuple((each.split, each.name) for each in series)
+    return ForeignSet(kind, path, names, opener, replace(stated, notes=(*notes, *stated.notes)))
 
 
 @contextmanager
-def _open(series: Series) -> Iterator[Recording]:
+def _open(series: Series, friction_angle_deg: float | None) -> Iterator[Recording]:
     points, carried = read_frame(series, series.numbers[0])
     order = _order_of(series, points, carried)
     if order is not None:
@@ -86,7 +94,8 @@ def _open(series: Series) -> Iterator[Recording]:
         return np.stack(frames)
 
     types = carried.get(PARTICLE_TYPE.name)
-    material = carried.get(MATERIAL_FEATURES[0])
+    tangent = None if friction_angle_deg is None else np.array(np.tan(np.radians(friction_angle_deg)))
+    material = carried.get(MATERIAL_FEATURES[0], tangent)
     velocity = carried.get("velocity", carried.get("velocities") if series.numbers[0] == 0 else None)
     sound = velocity is not None and velocity.shape == points.shape
     mass = carried.get(MASS.name)

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.io.convert.arrays import split_of
-from gns_pl.io.convert.limits import read_bounded
 from gns_pl.io.convert.series import even_step, listed
 from gns_pl.io.convert.source import reading
 from gns_pl.io.convert.vtk_xml import has_cells, parse_xml, read_points
+from gns_pl.io.regular import read_bounded
 
 _RANKED = re.compile(r"(?P<stem>.*)-(?P<rank>\d+)_(?P<size>\d+)-(?P<number>\d+)")
 _NUMBERED = re.compile(r"(?P<stem>.*?)[_.-]?(?P<number>\d+)")

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory, regular_size
+from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory
+from gns_pl.io.regular import regular_size
 
 KINDS = {
     "Float32": "f4", "Float64": "f8", "Int8": "i1", "Int16": "i2", "Int32": "i4", "Int64": "i8",
