@@ -94,6 +94,22 @@ def test_the_authors_folders_from_every_level(tmp_path: Path) -> None:
         assert recording.stated is not None and recording.stated.friction_angle_deg == 20
 
 
+def test_a_source_in_other_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fixtures.write_cb_geo(tmp_path / "sim/results/uuid", DEEP)
+    deck = fixtures.write_deck(tmp_path / "sim")
+    mesh = deck.with_name("mesh.txt")
+    mesh.write_text("! elementShape hexahedron\n" + mesh.read_text())  # a comment of CB-Geo's
+    (tmp_path / "elsewhere").mkdir()
+    fixtures.write_deck(tmp_path / "elsewhere", dt=7.0)
+    for here, source in (("sim/results/uuid", "."), ("elsewhere", "../sim/results")):
+        monkeypatch.chdir(tmp_path / here)
+        found = open_set(source)
+        assert found.stated.dt == pytest.approx(0.01) and found.names[0][1] == "uuid", source
+        assert found.stated.upper == (1.0,) * 3
+    with pytest.raises(InputError, match="is one step of a run of CB-Geo MPM, if of any; name the folder"):
+        open_set(tmp_path / "sim/results/uuid/particles00000.h5")
+
+
 def test_folders_of_splits_are_the_splits(tmp_path: Path) -> None:
     for split in ("train", "test"):
         fixtures.write_cb_geo(tmp_path / split / "sim/results/uuid", DEEP)

@@ -45,11 +45,16 @@ def find_runs(path: Path) -> list[Path]:
     """Return the folders of runs: a folder itself, or those below it; none if its own files are splits.
 
     Raises:
-        InputError: more folders than a set has.
+        InputError: a step of a run in the place of its folder, or more folders than a set has.
     """
+    if FILE.fullmatch(path.name) and not path.is_dir():
+        raise InputError(f"{path}: is one step of a run of CB-Geo MPM, if of any; name the folder of the run.")
     if not path.is_dir():
         return []
-    found = sorted(_below(path, [MOST_FOLDERS], path))
+    left = [MOST_FOLDERS]
+    found = sorted(_below(path, left, path))
+    if found and left[0] < 0:
+        raise InputError(f"{path}: has more than {MOST_FOLDERS:,} folders; name the one that holds the runs.")
     near = [folder for folder in found if len(folder.relative_to(path).parts) <= 1]
     if not near and any(file.stem in SPLITS and not file.is_dir() for file in path.iterdir()):
         return []  # a set that lies over the runs it was made from
@@ -59,7 +64,7 @@ def find_runs(path: Path) -> list[Path]:
 def _below(folder: Path, left: list[int], root: Path) -> Iterator[Path]:
     left[0] -= 1
     if left[0] < 0:
-        raise InputError(f"{root}: has more than {MOST_FOLDERS:,} folders; name the one that holds the data.")
+        return
     entries = list(folder.iterdir())
     if any(FILE.fullmatch(entry.name) for entry in entries):
         yield folder
@@ -96,7 +101,7 @@ def read_run(folder: Path, root: Path) -> Run:
     place = folder.relative_to(root)
     return Run(
         folder=folder,
-        name=folder.name if folder == root else place.as_posix(),
+        name=folder.absolute().name if folder == root else place.as_posix(),
         split=next((part for part in place.parts if part in SPLITS), ""),
         steps={step: tuple(steps[step][rank] for rank in sorted(steps[step])) for step in numbers},
         step=even_step(numbers, str(folder)),

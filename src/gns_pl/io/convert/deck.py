@@ -148,8 +148,8 @@ def _numbers(values: Any) -> tuple[float, ...]:
 def read_mesh_box(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the lower and upper corner of a mesh in CB-Geo's text form [m].
 
-    Lines that begin with # and empty ones do not count; then come the numbers of nodes and elements, the nodes'
-    coordinates a line each, and the elements.
+    Empty lines, comments behind # and lines with ! do not count; then come the numbers of nodes and elements, the
+    nodes' coordinates a line each, and the elements.
 
     Raises:
         InputError: another form; the caller names the file.
@@ -159,7 +159,7 @@ def read_mesh_box(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
     lower: NDArray[np.float64] | None = None
     upper: NDArray[np.float64] | None = None
     with path.open(encoding="utf-8") as file:
-        lines = (line for line in (line.split("#")[0].strip() for line in file) if line)
+        lines = (line for line in (line.split("#")[0].strip() for line in file if "!" not in line) if line)
         number = int(next(lines, "0").split()[0])
         for count in range(number):
             node = np.array([float(word) for word in next(lines, "").split()])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -44,7 +45,7 @@ def decks_of(runs: Sequence[Run], root: Path, deck: Path | None) -> tuple[list[D
     for path, names in users.items():
         if len(names) > 1:
             notes.append(f"{path} is the deck of all of these, there being no other: {listed(names)}")
-        elif not path.absolute().is_relative_to(root.absolute()):
+        elif not path.is_relative_to(_whole(root)):
             notes.append(f"the deck is {path}, over the source")
     if not users:
         notes.append("no JSON deck was found, so time step, box, gravity and material are open; name it: deck=…")
@@ -54,7 +55,7 @@ def decks_of(runs: Sequence[Run], root: Path, deck: Path | None) -> tuple[list[D
 def _nearest(
     run: Run, root: Path, candidates: Callable[[Path], tuple[Path, ...]], read: Callable[[Path], Deck]
 ) -> Path | None:
-    folder, top = run.folder.absolute(), root.absolute()
+    folder, top = _whole(run.folder), _whole(root)
     for distance, place in enumerate([folder, *folder.parents]):
         if distance > ABOVE and not place.is_relative_to(top):
             break
@@ -76,12 +77,17 @@ def _check_lacking(runs: Sequence[Run], found: Sequence[Path | None], root: Path
     own = {path.parent: run.name for run, path in zip(runs, found, strict=True) if path is not None}
     over = {place: name for folder, name in own.items() for place in folder.parents}
     for run, path in zip(runs, found, strict=True):
-        place = root.absolute() if path is None else path.parent
-        if place in over and run.folder.absolute() != place:
+        place = _whole(root) if path is None else path.parent
+        if place in over and _whole(run.folder) != place:
             raise InputError(
                 f"{run.folder}: has no deck of its own, as {over[place]} has; put its deck beside it, or convert the "
                 "runs one by one with deck=…"
             )
+
+
+def _whole(path: Path) -> Path:
+    """Return a path from the root of the file system, without `..`, so that its parents are folders over it."""
+    return Path(os.path.normpath(path.absolute()))
 
 
 def _decks_in(folder: Path) -> tuple[Path, ...]:
