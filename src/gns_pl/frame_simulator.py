@@ -179,6 +179,24 @@ class FrameSimulator(Simulator):
         return torch.where(static.moved[:, None], position, history[:, -1])
 
 
+def cold_start(config: SimulatorConfig, provenance: Mapping[str, Any]) -> str | None:
+    """Return in a sentence how runs of imported weights start here and in their own program; None for other models.
+
+    Models that are trained here learn from histories that begin before the first frame; imported weights never saw one.
+
+    Args:
+        config: of the simulator.
+        provenance: of its checkpoint.
+    """
+    if not isinstance(config, FrameConfig) or "weights" not in provenance:
+        return None
+    return (
+        f"Imported weights: their own program starts from {config.input_sequence_length} true frames. A run here "
+        "starts from one frame and its velocities, as if these had been constant before, so that it differs from "
+        "theirs from the first step on; evaluate.py starts from true frames with evaluation.start=frames."
+    )
+
+
 def simulator_config(model: Mapping[str, Any]) -> SimulatorConfig:
     """Return the config of a model as conf/model has it; "kind" says of which simulator, the usual one without it.
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from gns_pl.checkpoint import load_checkpoint, load_simulator
-from gns_pl.io import read_trajectory
+from gns_pl.io import read_manifest, read_trajectory
 from tests.commands.test_train import ROOT, read_rows
 from tests.conversion.test_weights import a_state, random_weights
 from tests.io.convert import fixtures
@@ -125,8 +125,14 @@ def test_weights_of_geoelements_are_judged_and_simulate(tmp_path: Path) -> None:
     run = door(tmp_path, "simulate.py", "ckpt=a.ckpt", *scene)
     assert run.returncode == 0, run.stderr
     assert read_trajectory(tmp_path / "runs/simulate/column_collapse.h5").num_frames >= 2
+    for each in (carried, judged, run):
+        assert "their own program starts from 6 true frames" in each.stdout
+        assert "evaluation.start=frames" in each.stdout
     back = door(tmp_path, "convert.py", "source=a.ckpt", "target=out/model-0.pt")
     assert back.returncode == 0, back.stderr
+    written = json.loads((tmp_path / "out/metadata.json").read_text())
+    for key in ("bounds", "sequence_length", "vel_mean", "vel_std", "acc_mean", "acc_std", "dim"):
+        assert written[key] == metadata[key]
     first, second = (
         torch.load(tmp_path / path, weights_only=True) for path in ("theirs/model-500.pt", "out/model-0.pt")
     )
@@ -146,6 +152,9 @@ def test_what_is_trained_with_their_features_goes_there(tmp_path: Path) -> None:
     assert trained.returncode == 0, trained.stderr
     gone = door(tmp_path, "convert.py", "source=runs/theirs/last.ckpt", "target=out/model-4.pt")
     assert gone.returncode == 0, gone.stderr
+    written, manifest = json.loads((tmp_path / "out/metadata.json").read_text()), read_manifest(tmp_path / "ours")
+    assert written["vel_std"] == [value * 0.02 for value in manifest.statistics["velocity"]["std"]]
+    assert written["bounds"] == [[0.0, 1.0]] * 2 and written["sequence_length"] == 10
     back = door(
         tmp_path, "convert.py", "source=out/model-4.pt", "target=b.ckpt", "weights.edge_update=residual", "spacing=0.1"
     )

@@ -61,11 +61,18 @@ def scripted(position: np.ndarray) -> np.ndarray:
 
 
 SCRIPTED = {split: [scripted(each) for each in all_of] for split, all_of in TRUTH.items()}
+EQUAL = {**SCRIPTED, "train": [SCRIPTED["train"][0], scripted(falling(8, seed=1))]}
+"""LagrangeBench takes the trajectories of a split to be of one length."""
 
 
 @pytest.fixture
 def geoelements(tmp_path: Path) -> Path:
     return fixtures.write_geoelements(tmp_path / "theirs", SCRIPTED, TYPES, np.float64(0.5))
+
+
+@pytest.fixture
+def equal(tmp_path: Path) -> Path:
+    return fixtures.write_geoelements(tmp_path / "theirs", EQUAL, TYPES, np.float64(0.5))
 
 
 def test_geoelements_becomes_a_data_set_of_ours(geoelements: Path, tmp_path: Path) -> None:
@@ -100,13 +107,14 @@ def test_statistics_are_those_of_what_moves(geoelements: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("to", ["geoelements", "lagrangebench", "vtk"])
-def test_round_trips_keep_every_bit(geoelements: Path, tmp_path: Path, to: str) -> None:
-    ours = converted(geoelements, tmp_path / "ours")
+def test_round_trips_keep_every_bit(tmp_path: Path, to: str) -> None:
+    truth = EQUAL if to == "lagrangebench" else SCRIPTED
+    ours = converted(fixtures.write_geoelements(tmp_path / "theirs", truth, TYPES, np.float64(0.5)), tmp_path / "ours")
     theirs = converted(ours, tmp_path / "exported", to=to)
     back = converted(theirs, tmp_path / "back", **({**BOX} if to == "vtk" else {}))
-    same(positions(ours), SCRIPTED)
-    same(positions(theirs), SCRIPTED)
-    same(positions(back), SCRIPTED)
+    same(positions(ours), truth)
+    same(positions(theirs), truth)
+    same(positions(back), truth)
     for path in sorted(ours.glob("*.h5")):
         first, second = read_trajectory(path), read_trajectory(back / path.name)
         assert first.dt == pytest.approx(second.dt, rel=1e-9)
@@ -131,11 +139,11 @@ def test_vtk_in_two_and_three_dimensions(tmp_path: Path, dim: int) -> None:
         np.testing.assert_array_equal(first.mass, second.mass)
 
 
-def test_exported_metadata_say_what_the_data_are(geoelements: Path, tmp_path: Path) -> None:
-    theirs = converted(geoelements, tmp_path / "exported", to="lagrangebench")
+def test_exported_metadata_say_what_the_data_are(equal: Path, tmp_path: Path) -> None:
+    theirs = converted(equal, tmp_path / "exported", to="lagrangebench")
     metadata = json.loads((theirs / "metadata.json").read_text())
-    steps = np.concatenate([np.diff(each.astype(float), axis=0)[:, 5:].reshape(-1, 3) for each in SCRIPTED["train"]])
-    second = np.concatenate([np.diff(e.astype(float), n=2, axis=0)[:, 5:].reshape(-1, 3) for e in SCRIPTED["train"]])
+    steps = np.concatenate([np.diff(each.astype(float), axis=0)[:, 5:].reshape(-1, 3) for each in EQUAL["train"]])
+    second = np.concatenate([np.diff(e.astype(float), n=2, axis=0)[:, 5:].reshape(-1, 3) for e in EQUAL["train"]])
     for key, values in (("vel", steps), ("acc", second)):
         np.testing.assert_allclose(metadata[f"{key}_mean"], values.mean(axis=0), rtol=1e-9, atol=1e-15)
         np.testing.assert_allclose(metadata[f"{key}_std"], values.std(axis=0), rtol=1e-9)
@@ -143,11 +151,11 @@ def test_exported_metadata_say_what_the_data_are(geoelements: Path, tmp_path: Pa
     assert metadata["default_connectivity_radius"] == 0.15 and metadata["num_trajs_train"] == 2
 
 
-def test_blocks_make_no_difference(geoelements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_make_no_difference(equal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for to in ("gns_pl", "lagrangebench"):
-        whole = converted(geoelements, tmp_path / f"whole_{to}", to=to)
+        whole = converted(equal, tmp_path / f"whole_{to}", to=to)
         monkeypatch.setattr("gns_pl.conversion.recordings.BLOCK_BYTES", 8 * 64 * 3 * 2)  # two frames
-        parts = converted(geoelements, tmp_path / f"parts_{to}", to=to)
+        parts = converted(equal, tmp_path / f"parts_{to}", to=to)
         monkeypatch.undo()
         same(positions(whole), positions(parts))
     first, second = (
@@ -288,19 +296,21 @@ def test_a_broken_off_conversion_goes_on(geoelements: Path, tmp_path: Path, monk
 
 
 @pytest.mark.parametrize("to", ["gns_pl", "geoelements", "lagrangebench"])
-def test_a_full_disk_is_one_sentence(
-    geoelements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str
-) -> None:
+def test_a_full_disk_is_one_sentence(equal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str) -> None:
     def full(*arguments: Any, **options: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    for place in ("gns_pl.io.stream.h5py.File.flush", "numpy.lib.format.write_array", "h5py.Group.create_group"):
+    for place in (
+        "gns_pl.io.stream.h5py.File.flush",
+        "gns_pl.io.convert.geoelements.write_pickle",
+        "h5py.Group.create_group",
+    ):
         monkeypatch.setattr(place, full)
     with pytest.raises(StorageError, match="cannot be written"):
-        converted(geoelements, tmp_path / "ours", to=to)
+        converted(equal, tmp_path / "ours", to=to)
     monkeypatch.undo()
     assert (tmp_path / ".ours.converting").is_dir() and not (tmp_path / "ours").exists()
-    converted(geoelements, tmp_path / "ours", to=to)
+    converted(equal, tmp_path / "ours", to=to)
 
 
 def test_other_settings_begin_anew(geoelements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,6 +35,7 @@ def metadata_of(dim: int, seed: int = 3) -> dict[str, Any]:
     generator = np.random.default_rng(seed)
     return {
         "bounds": [[0.0, 1.0]] * dim,
+        "sequence_length": 320,
         "default_connectivity_radius": RADIUS,
         "dim": dim,
         "dt": 0.01,
@@ -225,7 +226,8 @@ def test_there_and_back(tmp_path: Path, edge_update: str) -> None:
     written = json.loads((tmp_path / "out/metadata.json").read_text())
     for key in ("vel_mean", "vel_std", "acc_mean", "acc_std", "default_connectivity_radius", "boundary_augment"):
         np.testing.assert_allclose(written[key], metadata[key], rtol=1e-5, atol=1e-9)
-    assert written["nnode_in"] == 38 and written["noise_std"] == pytest.approx(NOISE)
+    assert written["bounds"] == metadata["bounds"] and written["sequence_length"] == 320 and written["dt"] == 0.01
+    assert written["nnode_in"] == 38 and written["nedge_in"] == 4 and written["noise_std"] == pytest.approx(NOISE)
 
 
 def test_models_of_ours_with_other_features_do_not_fit(tmp_path: Path) -> None:
@@ -322,6 +324,23 @@ def test_data_tell_which_way_is_right(tmp_path: Path, capsys: pytest.CaptureFixt
     told = capsys.readouterr().out
     residual, legacy = (float(re.search(rf"{way} ([\d.e-]+)", told)[1]) for way in ("residual", "legacy_doubling"))  # type: ignore[index]
     assert legacy < 1e-3 < 0.1 < residual
+    assert "the right way has the smaller one: weights.edge_update=legacy_doubling." in told
+    # Weights of another training explain nothing of these data, whichever way they are read.
+    imported(saved(tmp_path / "n", random_weights(2, seed=9), metadata), tmp_path / "b.ckpt", data=str(ours))
+    told = capsys.readouterr().out
+    assert all(float(re.search(rf"{way} ([\d.e-]+)", told)[1]) > 1 for way in ("residual", "legacy_doubling"))  # type: ignore[index]
+    assert "right way" not in told and "neither way explains these data. Check that" in told
+
+
+def test_data_at_rest_tell_no_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    still = np.repeat(fixtures.falling(1, dim=2), 9, axis=0)
+    (tmp_path / "plain").mkdir()
+    np.savez(tmp_path / "plain/a.npz", position=still)
+    more = {"dt": 0.01, "lower": (0.0, 0.0), "upper": (1.0, 1.0), "gravity": 9.81, "gravity_axis": "z", "scale": 1}
+    ours = converted(tmp_path / "plain", tmp_path / "ours", **more)
+    imported(saved(tmp_path / "m", random_weights(2), metadata_of(2)), tmp_path / "a.ckpt", data=str(ours))
+    told = capsys.readouterr().out
+    assert "nothing tells which way is right" in told and "nan" not in told
 
 
 def test_self_loops_stand_where_the_order_wants_them() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -20,6 +21,8 @@ FILES = 2
 
 def compare_edge_updates(simulators: Mapping[str, FrameSimulator], folder: Path) -> str:
     """Return in a sentence how well each way predicts the next frame of a data set, against constant velocities.
+
+    One of them is called the right one only if it predicts better than constant velocities, which need no model.
 
     Args:
         simulators: way → simulator, of the same weights.
@@ -49,9 +52,20 @@ def compare_edge_updates(simulators: Mapping[str, FrameSimulator], folder: Path)
             guesses["none"] = 2 * history[:, -1] - history[:, -2]
             for way, guess in guesses.items():
                 errors[way] += float((guess - truth)[static.moved].square().mean())
-    relative = {way: (errors[way] / errors["none"]) ** 0.5 if errors["none"] else float("nan") for way in simulators}
+    none = errors.pop("none")
+    if not none:
+        return f"No whole history in {folder} is followed by a change of velocity, so nothing tells which way is right."
+    relative = {way: (error / none) ** 0.5 if math.isfinite(error) else math.inf for way, error in errors.items()}
     told = ", ".join(f"{way} {value:.3g}" for way, value in relative.items())
-    return f"One-step error on {folder}, over that of constant velocities: {told}; the right way has the smaller one."
+    told = f"One-step error on {folder}, over that of constant velocities: {told}; "
+    best = min(relative, key=lambda way: relative[way])
+    if relative[best] < 1:
+        return told + f"the right way has the smaller one: weights.edge_update={best}."
+    return told + (
+        "both are worse than no model at all, so that neither way explains these data. Check that the weights were "
+        "trained on such data, in this unit of length (scale=), along these axes (gravity_axis=), with these particle "
+        "types and time between frames, and that weights.metadata and weights.noise_std are those of the training."
+    )
 
 
 STATIC = ("particle_type", "material", "volume", "lower", "upper", "gravity")

@@ -71,22 +71,24 @@ def convert(
     begun = _identity(found, target, to, facts, assumed, items)
     if target.exists():
         raise InputError(f"{target}: is there already; remove it or choose another target=.")
-    part = target.with_name(f".{target.name}.converting")
+    part, warning = target.with_name(f".{target.name}.converting"), None
     with _made(part, begun), _progress(len(items), str(target)) as told:
         if to == "gns_pl":
             write_set(part, found, items, facts, assumed, name=name or target.name, told=told)
         else:
             _clear(part)
-            writers = {"geoelements": exports.write_geoelements, "lagrangebench": exports.write_lagrangebench}
-            writer = writers.get(to, exports.write_vtk)
+            writer, common = exports.WRITERS[to][0], exports.WRITERS[to][1]()
             try:
-                writer(exports.Export(part, found, items, facts, assumed, told))
+                writer(exports.Export(part, found, items, facts, assumed, common, told))
             except OSError as error:
                 raise StorageError(f"{part}: cannot be written ({error.strerror or error}).") from error
+            warning = common.warning()
         remove_temporary_files(part)
         (part / BEGUN).unlink()
         (part / LOCK).unlink()
         _rename(part, target)
+    if warning:
+        print(warning)
     return target
 
 

@@ -61,7 +61,8 @@ def _convert_weights(source: Path, target: Path | None, settings: dict[str, Any]
     if source.suffix == CHECKPOINT:
         if target is None:
             raise InputError("inspect=true looks at data and at weights of others; a checkpoint of ours is known.")
-        print(f"Made: {export_weights(source, target)}")
+        given = {"data": weights["data"], **{key: settings[key] for key in ("lower", "upper")}}
+        print(f"Made: {export_weights(source, target, **given)}")
         return
     given = {key: settings[key] for key in ("scale", "gravity_axis", "spacing", "dt", "name")}
     print(*inspect_weights(source, weights["metadata"]), sep="\n", flush=True)

@@ -15,6 +15,7 @@ from gns_pl.conversion.sample import Sample, seen_spacing, take_sample
 from gns_pl.data.probes import measure_gravity
 from gns_pl.errors import InputError
 from gns_pl.io.convert import ForeignSet, Stated
+from gns_pl.io.convert.ours import KIND as OURS
 
 EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
@@ -22,8 +23,10 @@ METRES = 0.03
 """Free fall within this share of it is in metres and seconds."""
 OTHER_SPACING = 2.5
 """Ratio of a stated spacing to the seen one from which on it is that of other particles."""
-SI_KINDS = ("CB-Geo MPM", "gns_pl")
+SI_KINDS = ("CB-Geo MPM", OURS)
 """Sources that are in SI units by their own definition."""
+OF_RECORDINGS = ("dt", "lower", "upper", "gravity", "spacing")
+"""What every recording may state of itself."""
 AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
 
 
@@ -90,8 +93,8 @@ class Facts:
         spacing: of neighbouring particles [m].
         types: particle types of the source → ours.
         notes: what was worked out and how, sentences.
+        given: names of what the user said, which then holds for every recording.
         material_value: as `Given`; None where no trajectory that was looked at needs it.
-        fixed: "box" and "gravity" where the user gave them, for all trajectories.
     """
 
     dt: float
@@ -103,23 +106,38 @@ class Facts:
     spacing: float
     types: Mapping[int, int]
     notes: tuple[str, ...]
+    given: tuple[str, ...] = ()
     material_value: str | None = None
-    fixed: tuple[str, ...] = ()
-
-    def of(self, own: Stated | None) -> Facts:
-        """Return the facts of one trajectory: its own box and gravity where it states them and the user does not."""
-        changes: dict[str, Any] = {}
-        if own is not None and own.lower is not None and own.upper is not None and "box" not in self.fixed:
-            changes["lower"] = tuple(own.lower[each] * self.scale for each in self.axes)
-            changes["upper"] = tuple(own.upper[each] * self.scale for each in self.axes)
-        if own is not None and own.gravity is not None and "gravity" not in self.fixed:
-            changes["gravity"] = tuple(own.gravity[each] * self.scale for each in self.axes)
-        return replace(self, **changes)
 
     @property
     def dim(self) -> int:
         """D."""
         return len(self.axes)
+
+    def of(self, stated: Stated | None) -> Facts:
+        """Return the facts of one recording: what it states of itself, unless the user said otherwise.
+
+        Args:
+            stated: by the recording alone, in the source's units and axes; None for nothing.
+
+        Raises:
+            InputError: a box or a gravity of other dimensions.
+        """
+        if stated is None:
+            return self
+        changes: dict[str, Any] = {}
+        for name in ("lower", "upper", "gravity"):
+            value = getattr(stated, name)
+            if value is None or name in self.given:
+                continue
+            if len(value) != self.dim:
+                raise InputError(f"has a {name} of {len(value)} components in {self.dim} dimensions.")
+            changes[name] = tuple(value[axis] * self.scale for axis in self.axes)
+        if stated.dt is not None and "dt" not in self.given:
+            changes["dt"] = float(stated.dt)
+        if stated.spacing is not None and "spacing" not in self.given:
+            changes["spacing"] = float(stated.spacing * self.scale)
+        return replace(self, **changes)
 
 
 @dataclass(frozen=True)
@@ -198,7 +216,6 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         names = ", ".join("xyz"[each] for each in axes)
         notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
     vector = _vector(found, axes, gravity)
-    own = {"box": (given.lower, given.upper), "gravity": (given.gravity, given.gravity_axis)}
     facts = Facts(
         dt=float(dt),
         scale=float(scale),
@@ -209,8 +226,8 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
+        given=tuple(name for name in OF_RECORDINGS if getattr(given, name) is not None),
         material_value=material_value,
-        fixed=tuple(name for name, value in own.items() if any(each is not None for each in value)),
     )
     return Findings(facts, (), values, tuple(notes))
 
@@ -220,7 +237,7 @@ def _spacing(found: ForeignSet, sample: Sample, asks: list[str]) -> float | None
     if "spacing" in found.stated.questions:
         return None
     stated, seen = found.stated.spacing, seen_spacing(sample)
-    ratio = stated / seen if stated is not None and seen is not None and found.kind != "gns_pl" else 1.0
+    ratio = stated / seen if stated is not None and seen is not None and found.kind != OURS else 1.0
     if not 1 / OTHER_SPACING < ratio < OTHER_SPACING:
         asks.append(f"the stated spacing, {stated:g}, does not fit particles {seen:g} apart: give spacing=…")
         return None
@@ -235,11 +252,13 @@ def turned_axes(axis: int, dim: int) -> tuple[int, ...]:
 
 
 def _vector(found: ForeignSet, axes: tuple[int, ...], gravity: float) -> tuple[float, ...]:
-    """Return the acceleration of gravity along our axes [D] [m/s²]: stated inclined, it stays so."""
+    """Return the acceleration of gravity along our axes [D] [m/s²]: stated inclined, it stays so, of any size."""
     stated = found.stated.gravity
-    if stated is not None and math.isclose(math.hypot(*stated), gravity, rel_tol=1e-6):
-        return tuple(stated[each] for each in axes)
-    return (*[0.0] * (len(axes) - 1), -gravity)
+    size = 0.0 if stated is None else math.hypot(*stated)
+    if stated is None or not size:
+        return (*[0.0] * (len(axes) - 1), 0.0 - gravity)
+    factor = 1.0 if math.isclose(size, gravity, rel_tol=1e-6) else gravity / size
+    return tuple(stated[each] * factor for each in axes)
 
 
 def _gravity(
@@ -249,10 +268,14 @@ def _gravity(
     axis = None if given.gravity_axis is None else axis_number(given.gravity_axis, sample.dim)
     if found.stated.gravity is not None and len(found.stated.gravity) == sample.dim:
         vector = np.array(found.stated.gravity)
-        axis = int(np.abs(vector).argmax()) if axis is None else axis
-        if vector[axis] > 0:
+        size = float(np.linalg.norm(vector))
+        if axis is None:  # ours are along our axes as they are, however steep; without gravity, nothing is to be turned
+            axis = sample.dim - 1 if not size or found.kind == OURS else int(np.abs(vector).argmax())
+        if vector[axis] > 0 and found.kind != OURS:
             raise InputError(f"{found.path}: gravity points upwards along its axis; mirror the data first.")
-        return axis, float(np.linalg.norm(vector))
+        return axis, size
+    if given.gravity == 0:
+        return sample.dim - 1 if axis is None else axis, None
     if dt is None or not sample.windows:
         return axis, None
     rounding = float(np.finfo(np.float32).eps * max(np.abs(sample.lower).max(), np.abs(sample.upper).max()) / dt**2)

@@ -60,8 +60,13 @@ def _shapes(found: ForeignSet, material_value: str | None) -> list[str]:
     chosen = np.unique(np.linspace(0, len(found.names) - 1, MOST_OPENED).round().astype(int))
     frames, particles, types, features, dtypes, dims = [], [], Counter[int](), set(), set(), set()
     notes: list[str] = []
+    said: dict[str, set[Any]] = {name: set() for name in ("box", "gravity", "time step")}
     for number in chosen.tolist():
         with found.recording(number) as recording:
+            own = recording.stated or found.stated
+            said["box"].add((own.lower, own.upper))
+            said["gravity"].add(own.gravity)
+            said["time step"].add(own.dt)
             frames.append(recording.num_frames)
             particles.append(recording.num_particles)
             dims.add(recording.dim)
@@ -69,6 +74,9 @@ def _shapes(found: ForeignSet, material_value: str | None) -> list[str]:
             features.add(recording.material_features)
             types.update(recording.particle_type.tolist())
             notes += [note for note in recording.notes if note not in notes]
+    several = [name for name, values in said.items() if len(values) > 1]
+    if several and not any(note.startswith("trajectories differ") for note in found.stated.notes):
+        notes.append(f"trajectories differ in {', '.join(several)}; what is told here is that of the first")
     meaning = "of unknown meaning" if material_value is None else f"{MATERIAL_FEATURES[0]} by {material_value}"
     meaning = "left out" if material_value == "none" else meaning
     named = sorted({name for each in features for name in each})

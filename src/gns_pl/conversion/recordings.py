@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gns_pl.conversion.facts import Facts
 from gns_pl.conversion.material_value import material_question, tangents
+from gns_pl.conversion.own_scenes import carried_scene
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.io.convert import UNCERTAIN_MATERIAL, Recording, Stated
@@ -75,32 +76,39 @@ def in_si(position: NDArray[Any], facts: Facts) -> NDArray[np.float32]:
 def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: Stated, name: str) -> Trajectory:
     """Return the first frame of a recording with all that does not change with time.
 
+    What the recording states of itself stands above what the set states; a scene of ours is carried over whole.
+
     Args:
         recording: open.
-        facts: units and axes.
+        facts: units and axes, of this recording (`Facts.of`).
         assumed: what the source does not say.
-        stated: what it does.
-        name: of the scene.
+        stated: what it says of the whole set.
+        name: of the scene, where the source has none.
 
     Raises:
         InputError: positions outside every box, or types without a moving particle.
     """
-    stated, facts = recording.stated or stated, facts.of(recording.stated)
     features, values = _known_material(recording, facts)
     first = in_si(recording.frames(0, 1), facts)
     types = np.array([facts.types.get(int(each), int(each)) for each in recording.particle_type], dtype=np.int64)
     moved = types != int(ParticleType.KINEMATIC)
     if not moved.any():
         raise InputError("has kinematic particles alone, so nothing moves.")
-    plain = assumed.plain(stated)
-    if TANGENT in features:
-        tangent = values[moved, features.index(TANGENT)]
-        plain["friction_angle_deg"] = math.degrees(math.atan(max(0.0, float(tangent.mean()))))
-    material = part_from_dict(Material, "material", plain)
     mass = recording.mass
+    if recording.scene is not None:
+        scene = carried_scene(recording.scene, facts)
+        if mass is not None:  # of the same density in another unit of length
+            mass = mass * facts.scale**facts.dim
+    else:
+        plain = assumed.plain(stated if recording.stated is None else merged(stated, recording.stated))
+        if TANGENT in features:
+            tangent = values[moved, features.index(TANGENT)]
+            plain["friction_angle_deg"] = math.degrees(math.atan(max(0.0, float(tangent.mean()))))
+        material = part_from_dict(Material, "material", plain)
+        scene = scene_of(first[0][moved], facts, material, assumed, name, (recording.num_frames - 1) * facts.dt)
     if mass is None:
-        mass = np.full(recording.num_particles, material.density * facts.spacing**facts.dim)
-    scene = scene_of(first[0][moved], facts, material, assumed, name, (recording.num_frames - 1) * facts.dt)
+        density = next(iter(scene.materials.values())).density
+        mass = np.full(recording.num_particles, density * facts.spacing**facts.dim)
     return Trajectory(
         position=first,
         particle_type=types,
@@ -128,6 +136,12 @@ def _known_material(recording: Recording, facts: Facts) -> tuple[tuple[str, ...]
     if facts.material_value == "none":
         return (), without_material(len(values))
     return (TANGENT,), tangents(values, facts.material_value)
+
+
+def merged(stated: Stated, own: Stated) -> Stated:
+    """Return what a source says of its set, and over it what it says of one recording."""
+    said = {each.name: getattr(own, each.name) for each in fields(own)}
+    return replace(stated, **{name: value for name, value in said.items() if value not in (None, (), {})})
 
 
 def scene_of(

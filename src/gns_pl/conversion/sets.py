@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import gns_pl
 from gns_pl.conversion.facts import Facts
+from gns_pl.conversion.own_scenes import turned_faces
 from gns_pl.conversion.plan import Item
 from gns_pl.conversion.recordings import Assumed, si_blocks, start_of
 from gns_pl.data.statistics import RunningStatistics, measure_motion
@@ -24,6 +26,7 @@ from gns_pl.io import (
     write_manifest,
 )
 from gns_pl.io.convert import ForeignSet
+from gns_pl.io.convert.ours import KIND as OURS
 from gns_pl.io.manifest import MANIFEST_VERSION
 from gns_pl.io.stream import TrajectoryStream
 from gns_pl.scene import FACES
@@ -64,13 +67,18 @@ def write_set(
 
 def _write(path: Path, found: ForeignSet, item: Item, facts: Facts, assumed: Assumed) -> None:
     with found.recording(item.number) as recording:
-        start = start_of(recording, facts, assumed, found.stated, item.name)
+        own = facts.of(recording.stated)
+        start = start_of(recording, own, assumed, found.stated, item.name)
         stream = TrajectoryStream(path, start)
         try:
-            for block in si_blocks(recording, facts):
+            for block in si_blocks(recording, own):
                 stream.append(block)
-            notes = list(recording.notes)
-            stream.finish({"solver": f"imported from {found.kind}", "source": item.source, "notes": notes})
+            made: dict[str, object] = {
+                "solver": f"imported from {found.kind}",
+                "source": item.source,
+                "notes": list(recording.notes),
+            }
+            stream.finish({**made, "original": dict(recording.provenance)} if recording.provenance else made)
         finally:
             stream.close()
             stream.growing.unlink(missing_ok=True)
@@ -86,6 +94,11 @@ def _manifest(
     for item in items:
         path = folder / f"{item.name}.h5"
         header, static = read_header(path), read_static(path)
+        if not math.isclose(header.dt, facts.dt, rel_tol=1e-9):
+            raise InputError(
+                f"{found.path}: frames are {facts.dt:g} s apart in some trajectories and {header.dt:g} s in "
+                f"{item.source}, and a set has one time step; convert these apart, file by file, or say dt=…"
+            )
         files[path.name] = FileRecord(file_sha256(path), header.num_frames, header.num_particles)
         types |= set(static["particle_type"].tolist())
         features.add(header.material_features)
@@ -105,7 +118,7 @@ def _manifest(
         splits={split: tuple(f"{item.name}.h5" for item in items if item.split == split) for split in SPLITS},
         files=files,
         statistics={quantity: seen.to_dict() for quantity, seen in statistics.items()},
-        seed=0,
+        seed=found.stated.metadata["seed"] if found.kind == OURS else 0,
         spec=imported_spec(found, facts, assumed, name),
     )
 
@@ -116,21 +129,29 @@ def _measured(path: Path, header: TrajectoryHeader, static: dict[str, Any]) -> d
 
 
 def imported_spec(found: ForeignSet, facts: Facts, assumed: Assumed, name: str) -> dict[str, Any]:
-    """Return what stands in the place of a generation's specification: where it came from, and what was made of it."""
-    wall = dict(assumed.wall)
-    radius = found.stated.radius
+    """Return what stands in the place of a generation's specification: where it came from, and what was made of it.
+
+    A set of ours keeps its material and walls, and unit, axes and types lead on to where it came from itself.
+    """
+    before: dict[str, Any] = found.stated.metadata["spec"] if found.kind == OURS else {}
+    earlier: dict[str, Any] = before.get("imported", {})
+    axes, radius = earlier.get("axes", range(facts.dim)), found.stated.radius
+    walls = before.get("walls", {face: dict(assumed.wall) for face in FACES[facts.dim]})
+    clip = found.stated.metadata.get("boundary_augment", earlier.get("boundary_augment"))
+    imported = {
+        "format": found.kind,
+        "gns_pl": gns_pl.__version__,
+        "scale": facts.scale * earlier.get("scale", 1.0),
+        "axes": [axes[axis] for axis in facts.axes],
+        "types": {**earlier.get("types", {}), **{str(key): value for key, value in facts.types.items()}},
+        "connectivity_radius": None if radius is None else radius * facts.scale,
+        "notes": [*earlier.get("notes", ()), *facts.notes],
+        **({} if clip is None else {"boundary_augment": clip}),
+    }
     return {
         "name": name,
-        "imported": {
-            "format": found.kind,
-            "gns_pl": gns_pl.__version__,
-            "scale": facts.scale,
-            "axes": list(facts.axes),
-            "types": {str(key): value for key, value in facts.types.items()},
-            "connectivity_radius": None if radius is None else radius * facts.scale,
-            "notes": list(facts.notes),
-        },
-        "gravity": -facts.gravity[-1],
-        "material": dict(assumed.plain(found.stated)),
-        "walls": dict.fromkeys(FACES[facts.dim], wall),
+        "imported": {**imported, "specification": before} if before else imported,
+        "gravity": 0.0 - facts.gravity[-1],
+        "material": before.get("material", dict(assumed.plain(found.stated))),
+        "walls": turned_faces(walls, facts.axes),
     }

@@ -16,10 +16,10 @@ from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.conversion.compare import compare_edge_updates
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES
-from gns_pl.frame_simulator import EDGE_UPDATES, FrameConfig, FrameSimulator
+from gns_pl.frame_simulator import EDGE_UPDATES, FrameConfig, FrameSimulator, cold_start
 from gns_pl.io import file_sha256, manifest_sha256, read_manifest
 from gns_pl.io.convert import geoelements_weights as theirs
-from gns_pl.io.convert.metadata import NAME, frame_statistics, positive, read_json, read_metadata
+from gns_pl.io.convert.metadata import NAME, frame_statistics, part_of, positive, read_json, read_metadata
 from gns_pl.io.convert.source import reading
 
 UNKNOWN = (
@@ -75,12 +75,8 @@ def inspect_weights(source: Path, metadata: str | None = None) -> list[str]:
 
 
 def _metadata(source: Path, metadata: str | None) -> dict[str, Any]:
-    if metadata is None:
-        return read_metadata(source.parent)
-    path = Path(metadata)
-    if path.name == NAME:
-        return read_metadata(path.parent) if path.is_file() else read_json(path)
-    return read_json(path)
+    """Return the metadata of the training, by which the weights are normalised."""
+    return read_metadata(source.parent) if metadata is None else part_of(read_json(Path(metadata)), "train")
 
 
 def import_weights(
@@ -151,13 +147,17 @@ def import_weights(
             "sha256": file_sha256(source),
             "edge_update": edge_update or "unknown, taken for residual",
             "noise_std": noise_std * frame.scale,
+            "scale": frame.scale,
+            "axes": list(frame.axes),
             "metadata": stated,
         },
     }
     if data is not None:
         provenance["manifest_sha256"] = manifest_sha256(data)
     target.parent.mkdir(parents=True, exist_ok=True)
-    save_checkpoint(target, Checkpoint(simulators[edge_update or EDGE_UPDATES[0]].eval(), spec, provenance))
+    simulator = simulators[edge_update or EDGE_UPDATES[0]].eval()
+    save_checkpoint(target, Checkpoint(simulator, spec, provenance))
+    print(cold_start(simulator.config, provenance))
     return target
 
 

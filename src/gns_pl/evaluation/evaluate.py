@@ -141,11 +141,14 @@ def evaluate(
     from gns_pl.checkpoint import load_checkpoint, move
     from gns_pl.evaluation import report
     from gns_pl.evaluation.references import reference_of, stored_references
+    from gns_pl.frame_simulator import cold_start
 
     if film not in (None, "mp4", "gif"):
         raise InputError(f"evaluation.film must be mp4, gif or null, not {film!r}.")
     checkpoint = load_checkpoint(checkpoint_path)
     config = checkpoint.simulator.config
+    if cold := cold_start(config, checkpoint.provenance):
+        print(cold)
     if split is None and "mpm" not in checkpoint.data:
         split = imported_split(checkpoint, checkpoint_path, wants_scenes=bool(scenes))
     stored = {} if split is None else chosen(stored_references(checkpoint, split), only, "evaluation.split")

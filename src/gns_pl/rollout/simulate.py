@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import gns_pl
 from gns_pl.checkpoint import load_checkpoint, move
 from gns_pl.errors import InputError
+from gns_pl.frame_simulator import cold_start
 from gns_pl.generation.lock import locked
 from gns_pl.io import StorageError, file_sha256, read_window
 from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
@@ -174,10 +175,11 @@ def simulate(
                 deque(unroll(simulator, [job.run for job in left], rest=rest, watches=watches), maxlen=0)
             return [job.path for job in jobs]
         if left:
+            if cold := cold_start(simulator.config, checkpoint.provenance):
+                print(cold)
             _write(left, simulator, identity, rest, watches)
             for job in left:
-                sentence = told(checkpoint, job.path)
-                if sentence is not None:
+                if sentence := told(checkpoint, job.path):
                     print(f"{job.path}: {sentence}; do not trust it without a look at MPM.")
     for job in jobs:
         if job not in left:

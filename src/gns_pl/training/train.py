@@ -253,6 +253,7 @@ def build_module(
     noise_std = training.perturbation.noise_std
     if isinstance(module.simulator, FrameSimulator):
         module.simulator.set_frame_statistics(moments, of_data["dt"], noise_std)
+        module.provenance["frame_statistics"] = moments  # digit for digit, as an export of the weights needs them
     else:
         scales = statistics(moments, of_data["dt"], settings["data"]["gravity"], noise_std)
         material = material_scale(datamodule, len(of_data["material_features"]))

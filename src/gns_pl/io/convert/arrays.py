@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.io import SPLITS
-from gns_pl.io.convert.metadata import read_metadata, stated_of
+from gns_pl.io.convert.metadata import read_stated
 from gns_pl.io.convert.npy import map_numbers, members, open_member, read_numbers
 from gns_pl.io.convert.source import (
     UNCERTAIN_MATERIAL,
@@ -43,13 +43,13 @@ def open_arrays(path: Path, files: Sequence[Path]) -> ForeignSet:
         files: of it.
     """
     folder = path if path.is_dir() else path.parent
-    stated = stated_of(read_metadata(folder), folder / "metadata.json")
     names = [(split_of(file, folder), str(file.relative_to(folder))) for file in files]
+    stated, of_split = read_stated(folder, {split for split, _ in names})
 
     def opener(number: int) -> AbstractContextManager[Recording]:
         return _open(files[number])
 
-    return ForeignSet("plain arrays", path, tuple(names), opener, stated)
+    return ForeignSet("plain arrays", path, tuple(names), opener, stated, of_split)
 
 
 def split_of(file: Path, folder: Path) -> str:

@@ -114,6 +114,9 @@ def _open_hdf5(path: Path, files: list[Path]) -> ForeignSet:
             own = file.attrs.get("format") == FORMAT_NAME
         if own and path.is_file():
             return open_ours(path)
+        stored = sorted(each.parent for each in path.glob(f"*/{MANIFEST_NAME}")) if own else []
+        if stored:
+            raise InputError(f"is of a data set of gns_pl, of which {path} has {len(stored)}; name one: {stored[0]}")
         if own:
             raise InputError(
                 f"is a trajectory of gns_pl, but {path} has no {MANIFEST_NAME}; name the files one by one."

@@ -20,9 +20,9 @@ from gns_pl.errors import InputError
 from gns_pl.io import SPLITS
 from gns_pl.io.convert.groups import group_names, open_group
 from gns_pl.io.convert.limits import check_claim, check_memory
-from gns_pl.io.convert.metadata import read_metadata, stated_of
+from gns_pl.io.convert.metadata import read_stated
 from gns_pl.io.convert.npy import members, open_member, read_numbers
-from gns_pl.io.convert.pickled import plain, read_pickle
+from gns_pl.io.convert.pickled import plain, read_pickle, write_pickle
 from gns_pl.io.convert.source import (
     UNCERTAIN_MATERIAL,
     ForeignSet,
@@ -59,8 +59,8 @@ def open_geoelements(path: Path, files: Sequence[Path], *, trust: bool) -> Forei
         names += [(split, f"{file.name}/{name}") for name in found]
         openers += found.values()
     folder = path if path.is_dir() else path.parent
-    stated = stated_of(read_metadata(folder), folder / "metadata.json")
-    return ForeignSet("geoelements/gns", path, tuple(names), lambda number: openers[number](), stated)
+    stated, of_split = read_stated(folder, {split for split, _ in names})
+    return ForeignSet("geoelements/gns", path, tuple(names), lambda number: openers[number](), stated, of_split)
 
 
 def _of_hdf5(file: Path) -> dict[str, Opener]:
@@ -166,6 +166,8 @@ def npz_writer(path: Path) -> Iterator[Callable[[str, Mapping[str, NDArray[Any]]
             info = zipfile.ZipInfo(f"{name}.npy")  # with a fixed date: the same set is the same bytes
             info.compress_type = zipfile.ZIP_DEFLATED
             with archive.open(info, "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, row, allow_pickle=True)
+                header = np.lib.format.header_data_from_array_1_0(row)
+                np.lib.format.write_array_header_1_0(cast(BinaryIO, member), header)
+                write_pickle(cast(BinaryIO, member), row)
 
         yield add

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gns_pl.fields import ParticleType
 from gns_pl.io import SPLITS
 from gns_pl.io.convert.groups import group_names, open_group
-from gns_pl.io.convert.metadata import read_metadata, stated_of
+from gns_pl.io.convert.metadata import read_stated
 from gns_pl.io.convert.source import ForeignSet, Recording, reading
 
 POSITION = "position"
@@ -47,13 +47,13 @@ def open_lagrangebench(path: Path, files: Sequence[Path]) -> ForeignSet:
         names += [(file.stem if file.stem in SPLITS else "", f"{file.name}/{name}") for name in found]
         places += [(file, name) for name in found]
     folder = path if path.is_dir() else path.parent
-    stated = stated_of(read_metadata(folder), folder / "metadata.json")
+    stated, of_split = read_stated(folder, {split for split, _ in names})
     notes = (*stated.notes, "walls, types 1 and 2 of LagrangeBench, are kinematic particles, fluid is type 5")
 
     def opener(number: int) -> AbstractContextManager[Recording]:
         return _translated(*places[number])
 
-    return ForeignSet("LagrangeBench", path, tuple(names), opener, replace(stated, notes=notes))
+    return ForeignSet("LagrangeBench", path, tuple(names), opener, replace(stated, notes=notes), of_split)
 
 
 @contextmanager
@@ -83,7 +83,7 @@ def groups_writer(path: Path) -> Iterator[Callable[[int, int, NDArray[np.int64],
         def add(number: int, frames: int, types: NDArray[np.int64], blocks: Iterator[NDArray[Any]]) -> None:
             group = file.create_group(f"{number:05d}")
             fluid = [THEIRS.get(int(each), 0) for each in types]
-            group.create_dataset("particle_type", data=np.array(fluid, dtype=np.int64), track_times=False)
+            group.create_dataset("particle_type", data=np.array(fluid, dtype=np.int32), track_times=False)
             data, start = None, 0
             for block in blocks:
                 if data is None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.io import SPLITS
-from gns_pl.io.convert.metadata import read_metadata, stated_of
+from gns_pl.io.convert.metadata import read_stated
 from gns_pl.io.convert.source import ForeignSet, Recording, checked_types, reading, without_material
 from gns_pl.io.convert.tfrecord import read_record, record_places, sequence_example
 
@@ -32,8 +32,6 @@ def open_learning_to_simulate(path: Path, files: Sequence[Path]) -> ForeignSet:
         InputError: a file that cannot be used.
     """
     folder = path if path.is_dir() else path.parent
-    stated = stated_of(read_metadata(folder), folder / "metadata.json")
-    dim = None if stated.lower is None else len(stated.lower)
     names: list[tuple[str, str]] = []
     records: list[tuple[Path, tuple[int, int]]] = []
     for file in files:
@@ -42,10 +40,13 @@ def open_learning_to_simulate(path: Path, files: Sequence[Path]) -> ForeignSet:
         names += [(file.stem if file.stem in SPLITS else "", f"{file.name}, record {k}") for k in range(len(places))]
         records += [(file, place) for place in places]
 
+    stated, of_split = read_stated(folder, {split for split, _ in names})
+    dim = None if stated.lower is None else len(stated.lower)
+
     def opener(number: int) -> AbstractContextManager[Recording]:
         return _open(*records[number], dim)
 
-    return ForeignSet("DeepMind learning_to_simulate", path, tuple(names), opener, stated)
+    return ForeignSet("DeepMind learning_to_simulate", path, tuple(names), opener, stated, of_split)
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,10 @@ from gns_pl.io.convert.source import Stated, reading
 from gns_pl.io.regular import read_bounded
 
 NAME = "metadata.json"
+PARTS = ("train", "rollout")
+"""What geoelements/gns may say of training and of rollouts apart, each with a box and a time step of its own."""
+PART_OF_SPLIT = {"train": "train", "": "train", "valid": "train", "test": "rollout"}
+"""Split → the part that speaks for it: validation is drawn as training is."""
 MOST_BYTES = 10_000_000
 """A larger metadata.json is none."""
 
@@ -33,20 +37,43 @@ def read_json(path: Path) -> dict[str, Any]:
         return content
 
 
-def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return the metadata of a folder, that of "rollout" over that of "train" where they are apart; {} if none.
+def read_metadata(folder: Path, part: str = "train") -> dict[str, Any]:
+    """Return the metadata of a folder, or one of the two parts that geoelements/gns may have in it; {} if none.
+
+    Args:
+        folder: of the data.
+        part: "train" or "rollout"; where the file has the other part alone, that.
 
     Raises:
         InputError: a file that is there and cannot be used.
     """
     path = folder / NAME
-    if not path.exists() and not path.is_symlink():
-        return {}
-    content = read_json(path)
-    parts = [content[key] for key in ("train", "rollout") if isinstance(content.get(key), Mapping)]
-    for part in parts:
-        content = {**content, **part}
-    return {key: value for key, value in content.items() if key not in ("train", "rollout")} if parts else content
+    there = path.exists() or path.is_symlink()  # a link to nothing is told
+    return part_of(read_json(path), part) if there else {}
+
+
+def part_of(content: Mapping[str, Any], part: str) -> dict[str, Any]:
+    """Return a part of what a metadata.json holds, over what stands beside the parts; all of it without parts."""
+    parts = {key: content[key] for key in PARTS if isinstance(content.get(key), Mapping)}
+    if not parts:
+        return dict(content)
+    common = {key: value for key, value in content.items() if key not in PARTS}
+    return {**common, **parts.get(part, next(iter(parts.values())))}
+
+
+def read_stated(folder: Path, splits: Collection[str]) -> tuple[Stated, dict[str, Stated]]:
+    """Return what metadata.json says of a set, which is what it says of the training; and of each split, if it differs.
+
+    Args:
+        folder: of the data.
+        splits: that the set has; "" stands for none.
+
+    Raises:
+        InputError: a file that is there and cannot be used.
+    """
+    of_split = {split: stated_of(read_metadata(folder, PART_OF_SPLIT[split]), folder / NAME) for split in splits}
+    first = next((of_split[split] for split in PART_OF_SPLIT if split in of_split), Stated())
+    return first, of_split if any(stated != first for stated in of_split.values()) else {}
 
 
 def stated_of(metadata: Mapping[str, Any], path: Path) -> Stated:

@@ -1,4 +1,4 @@
-"""Pickled NumPy arrays, read without running anything that stands in the pickle.
+"""Pickled NumPy arrays, read without running anything that stands in the pickle, and written for every NumPy.
 
 Unpickling calls whatever a file names. Here the names of NumPy's reconstruction lead to the stand-ins below, which hold
 plain values and check them; every other name is refused. NumPy itself gets a hostile dtype, shape or buffer at no time:
@@ -167,6 +167,33 @@ def read_pickle(stream: BinaryIO) -> Any:
         raise
     except Exception as error:  # the opcodes of a damaged pickle raise whatever they like
         raise InputError("its pickle is truncated or damaged.") from error
+
+
+class _Pickler(pickle._Pickler):
+    """Writes the functions of NumPy by the names that they have in NumPy 1 and 2 alike.
+
+    NumPy 2 calls its inner package `numpy._core`, which NumPy 1 does not have; both find them under `numpy.core`.
+    """
+
+    def save_global(self, obj: Any, name: str | None = None) -> None:
+        """Write the name of a function or a class."""
+        module = str(getattr(obj, "__module__", ""))
+        if not module.startswith("numpy._core"):
+            super().save_global(obj, name)  # type: ignore[misc]
+            return
+        named = module.replace("numpy._core", "numpy.core", 1), name or obj.__name__
+        self.write(pickle.GLOBAL + "{}\n{}\n".format(*named).encode("ascii"))  # type: ignore[attr-defined]
+        self.memoize(obj)  # type: ignore[attr-defined]
+
+
+def write_pickle(stream: BinaryIO, value: NDArray[Any]) -> None:
+    """Write an array of arrays as every NumPy since 1.16 reads it.
+
+    Args:
+        stream: open for writing.
+        value: array of objects, NumPy arrays.
+    """
+    _Pickler(stream, protocol=4).dump(value)
 
 
 def plain(value: Any, depth: int = 0) -> Any:

@@ -7,7 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
+from gns_pl.scene import Scene
 
 UNCERTAIN_MATERIAL = "material_property"
 """Name of a material feature of which the source does not say whether it is tan φ, φ or a share of it."""
@@ -37,7 +38,7 @@ class Stated:
         friction_angle_deg: of the material [degrees].
         radius: connectivity radius its models use.
         periodic: whether each axis is periodic [D]; empty if nothing is said.
-        metadata: the file beside the data, as it is.
+        metadata: the file beside the data, as it is: metadata.json, or a manifest of ours.
         questions: name of an argument → sentence that asks for it where it is not given.
         notes: sentences for the report.
     """
@@ -70,8 +71,10 @@ class Recording:
         initial_velocity: at the first frame [N, D], length units of the source per second; None if it does not say.
         mass: [N] [kg]; None if the source does not say.
         dtype: of the positions in the source.
-        stated: what the source says of this trajectory alone; None: what it says of all of them.
         notes: sentences for the report.
+        stated: what the source says of this trajectory alone; what it leaves open is as in the whole set.
+        scene: what was simulated, where the source has it as ours do.
+        provenance: how it was made, where the source says so.
     """
 
     num_frames: int
@@ -83,8 +86,10 @@ class Recording:
     initial_velocity: NDArray[np.float64] | None = None
     mass: NDArray[np.float64] | None = None
     dtype: str = "float32"
-    stated: Stated | None = None
     notes: tuple[str, ...] = ()
+    stated: Stated | None = None
+    scene: Scene | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.num_frames < 1 or len(self.particle_type) < 1:
@@ -137,6 +142,7 @@ class ForeignSet:
         names: split ("train", "valid", "test", or "" where the source has none) and name of every recording.
         open: number of a recording → the recording, for as long as the block lasts.
         stated: what the source says of itself.
+        of_split: split → what it says of that split alone, where splits differ.
     """
 
     kind: str
@@ -144,6 +150,7 @@ class ForeignSet:
     names: tuple[tuple[str, str], ...]
     open: Callable[[int], AbstractContextManager[Recording]]
     stated: Stated
+    of_split: Mapping[str, Stated] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -152,8 +159,10 @@ class ForeignSet:
     @contextmanager
     def recording(self, number: int) -> Iterator[Recording]:
         """Yield a recording; whatever goes wrong with it is an `InputError` that names it."""
-        with reading(f"{self.path}, {self.names[number][1]}"), self.open(number) as recording:
-            yield recording
+        split, name = self.names[number]
+        with reading(f"{self.path}, {name}"), self.open(number) as recording:
+            own = recording.stated or self.of_split.get(split)
+            yield recording if own is None else replace(recording, stated=own)
 
 
 @contextmanager
