@@ -23,7 +23,7 @@ def made(source: Path, target: Path, to: str = "gns_pl", **given: object) -> Pat
 
 
 def theirs(folder: Path, value: object) -> Path:
-    position = {"train": [falling(5, side=3)]}
+    position = {"train": [falling(8, side=3)]}
     return fixtures.write_geoelements(folder, position, np.full(27, 6), value)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.conversion.material_value import check_material_value, material_question, stated_meaning
-from gns_pl.conversion.sample import Sample, seen_spacing, take_sample
+from gns_pl.conversion.sample import Sample, stated_or_seen_spacing, take_sample
 from gns_pl.data.probes import measure_gravity
 from gns_pl.errors import InputError
 from gns_pl.io.convert import ForeignSet, Stated
@@ -21,8 +21,6 @@ EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
 METRES = 0.03
 """Free fall within this share of it is in metres and seconds."""
-OTHER_SPACING = 2.5
-"""Ratio of a stated spacing to the seen one from which on it is that of other particles."""
 SI_KINDS = ("CB-Geo MPM", OURS)
 """Sources that are in SI units by their own definition."""
 OF_RECORDINGS = ("dt", "lower", "upper", "gravity", "spacing")
@@ -199,7 +197,7 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
     material_value = given.material_value or stated_meaning(stated.metadata)
     if sample.material is not None and material_value is None:
         asks.append(material_question(*sample.material))
-    spacing = given.spacing or _spacing(found, sample, asks)
+    spacing = given.spacing or stated_or_seen_spacing(found, sample, asks)
     gravity = given.gravity
     if gravity is None and magnitude is not None and scale is not None:
         gravity = magnitude * scale if found.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
@@ -230,20 +228,6 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         material_value=material_value,
     )
     return Findings(facts, (), values, tuple(notes))
-
-
-def _spacing(found: ForeignSet, sample: Sample, asks: list[str]) -> float | None:
-    """Return the spacing as stated, where it fits the particles, or as seen; None where it has to be asked for."""
-    if "spacing" in found.stated.questions:
-        return None
-    stated, seen = found.stated.spacing, seen_spacing(sample)
-    ratio = stated / seen if stated is not None and seen is not None and found.kind != OURS else 1.0
-    if not 1 / OTHER_SPACING < ratio < OTHER_SPACING:
-        asks.append(f"the stated spacing, {stated:g}, does not fit particles {seen:g} apart: give spacing=…")
-        return None
-    if stated is None and seen is None:
-        asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
-    return stated or seen
 
 
 def turned_axes(axis: int, dim: int) -> tuple[int, ...]:

@@ -18,6 +18,8 @@ SAMPLE = 4
 """Recordings that are looked at."""
 WINDOWS = 12
 """Places in each where accelerations are measured."""
+OTHER_SPACING = 2.5
+"""Ratio of a stated spacing to the seen one from which on it is that of other particles."""
 MOST_PARTICLES = 20_000
 """Per window; of more, some evenly spread ones."""
 
@@ -87,6 +89,26 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
 def _moved(recording: Recording, types: Mapping[int, int]) -> NDArray[np.bool_]:
     kinds = np.array([types.get(int(each), int(each)) for each in recording.particle_type])
     return np.asarray(kinds != int(ParticleType.KINEMATIC))
+
+
+def stated_or_seen_spacing(found: ForeignSet, sample: Sample, asks: list[str]) -> float | None:
+    """Return the spacing as the source states it, where that fits the particles, or as it is seen; None if neither.
+
+    Args:
+        found: the source.
+        sample: of it.
+        asks: gets the sentence that asks for it.
+    """
+    if "spacing" in found.stated.questions:
+        return None  # asked for already
+    stated, seen = found.stated.spacing, seen_spacing(sample)
+    ratio = stated / seen if stated is not None and seen is not None and found.kind != "gns_pl" else 1.0
+    if not 1 / OTHER_SPACING < ratio < OTHER_SPACING:
+        asks.append(f"the stated spacing, {stated:g}, does not fit particles {seen:g} apart: give spacing=…")
+        return None
+    if stated is None and seen is None:
+        asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
+    return stated or seen
 
 
 def seen_spacing(sample: Sample) -> float | None:

@@ -47,7 +47,7 @@ def find_runs(path: Path) -> list[Path]:
     Raises:
         InputError: a step of a run in the place of its folder, or more folders than a set has.
     """
-    if FILE.fullmatch(path.name) and not path.is_dir():
+    if FILE.fullmatch(path.name) and path.is_file():
         raise InputError(f"{path}: is one step of a run of CB-Geo MPM, if of any; name the folder of the run.")
     if not path.is_dir():
         return []
