@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gns_pl.conversion.facts import Given, find_out
+from gns_pl.conversion.facts import find_out
+from gns_pl.conversion.given import Given
 from gns_pl.conversion.sets import advised_radius_of
 from gns_pl.errors import InputError
 from gns_pl.io import read_manifest, read_trajectory

@@ -34,7 +34,7 @@ def convert_config(cfg: DictConfig) -> None:
         _convert_weights(Path(source), None if inspect else Path(target), settings, weights)
         return
     from gns_pl.conversion.convert import convert
-    from gns_pl.conversion.facts import Given
+    from gns_pl.conversion.given import Given
     from gns_pl.conversion.inspection import inspect_source
     from gns_pl.conversion.recordings import Assumed
     from gns_pl.conversion.sets import advised_radius_of
@@ -42,7 +42,7 @@ def convert_config(cfg: DictConfig) -> None:
     from gns_pl.io.convert import open_set
     from gns_pl.text import override
 
-    named = ("dt", "scale", "gravity", "gravity_axis", "lower", "upper", "spacing", "types")
+    named = ("dt", "scale", "gravity", "gravity_axis", "lower", "upper", "spacing", "types", "material_value")
     given = Given(**{key: settings.pop(key) for key in named})
     assumed = Assumed(settings.pop("material"), settings.pop("wall"))
     found = open_set(source, **of_files)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gns_pl.conversion.common import Common
 from gns_pl.conversion.facts import Facts
+from gns_pl.conversion.material_value import METADATA_KEY
 from gns_pl.conversion.plan import Item
 from gns_pl.conversion.recordings import Assumed, si_blocks, start_of, whole_trajectory
 from gns_pl.data.places import advised_radius
@@ -129,6 +130,7 @@ def write_geoelements(export: Export) -> None:
             part of the metadata, obstacles, or a recording that cannot be used.
     """
     seen, common = FrameStatistics(export.facts.dim, _splits(export.items)[0]), export.common
+    feature = None
     for split in _splits(export.items):
         with npz_writer(export.folder / f"{split}.npz") as add:
             for number, item, recording, start, blocks in export.opened(split):
@@ -136,6 +138,7 @@ def write_geoelements(export: Export) -> None:
                 whole = whole_trajectory(start, recording.num_frames, looked)
                 arrays: dict[str, NDArray[Any]] = {"position": whole.position, "particle_type": start.particle_type}
                 if start.material_features:
+                    feature = start.material_features[0]
                     arrays["material"] = start.material[:, 0]
                 add(f"simulation_trajectory_{number}", arrays)
     dim, metadata = export.facts.dim, seen.metadata(export.found, export.facts)
@@ -144,6 +147,7 @@ def write_geoelements(export: Export) -> None:
     if clip is not None:
         metadata["boundary_augment"] = clip
     if common.num_features:  # their program knows the widths without a material value by itself
+        metadata[METADATA_KEY] = feature
         metadata |= {"nnode_in": (VELOCITIES + 2) * dim + TYPE_SIZE + 1, "nedge_in": dim + 1}
     _write_metadata(export.folder, with_parts(metadata, common.said()))
 

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.conversion.facts import Facts
+from gns_pl.conversion.material_value import material_question, tangents
 from gns_pl.conversion.own_scenes import carried_scene
 from gns_pl.data.places import OutsideCounter
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
-from gns_pl.io.convert import Recording, Stated
+from gns_pl.io.convert import UNCERTAIN_MATERIAL, Recording, Stated
+from gns_pl.io.convert.source import without_material
 from gns_pl.scene import FACES, Body, Material, Scene, Wall, part_from_dict
 from gns_pl.trajectory import Trajectory
 
@@ -95,6 +97,7 @@ def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: State
     Raises:
         InputError: positions outside every box, or types without a moving particle.
     """
+    features, values = _known_material(recording, facts)
     first = in_si(recording.frames(0, 1), facts)
     types = types_of(recording, facts)
     moved = types != int(ParticleType.KINEMATIC)
@@ -107,9 +110,9 @@ def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: State
             mass = mass * facts.scale**facts.dim
     else:
         plain = assumed.plain(stated)
-        if TANGENT in recording.material_features:
-            tangents = recording.material[moved, recording.material_features.index(TANGENT)]
-            plain["friction_angle_deg"] = math.degrees(math.atan(max(0.0, float(tangents.mean()))))
+        if TANGENT in features:
+            tangent = values[moved, features.index(TANGENT)]
+            plain["friction_angle_deg"] = math.degrees(math.atan(max(0.0, float(tangent.mean()))))
         material = part_from_dict(Material, "material", plain)
         scene = scene_of(first[0][moved], facts, material, assumed, name, (recording.num_frames - 1) * facts.dt)
     if mass is None:
@@ -118,14 +121,30 @@ def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: State
     return Trajectory(
         position=first,
         particle_type=types,
-        material=recording.material,
-        material_features=recording.material_features,
+        material=values,
+        material_features=features,
         mass=np.asarray(mass, dtype=np.float32),
         initial_velocity=_initial_velocity(recording, facts),
         dt=facts.dt,
         scene=scene.replace(origin=facts.origin_on_map(stated.origin)),
         provenance={},
     )
+
+
+def _known_material(recording: Recording, facts: Facts) -> tuple[tuple[str, ...], NDArray[np.float32]]:
+    """Return names of the material features and their values [N, K], what was of unknown meaning as tan φ.
+
+    Raises:
+        InputError: nobody said what they mean.
+    """
+    values = recording.material
+    if recording.material_features != (UNCERTAIN_MATERIAL,):
+        return recording.material_features, values
+    if facts.material_value is None:
+        raise InputError(f"{material_question(float(values.min()), float(values.max()))}.")
+    if facts.material_value == "none":
+        return (), without_material(len(values))
+    return (TANGENT,), tangents(values, facts.material_value)
 
 
 def merged(stated: Stated, own: Stated) -> Stated:

@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+import gzip
+from pathlib import Path
+
 from gns_pl.errors import InputError
+from gns_pl.io.regular import regular_size
 from gns_pl.machine import free_memory
 
 LARGEST_RATIO = 1100
 """Deflate, zlib and HDF5's gzip never shrink anything by more than 1032 times."""
+
+
+def unpacked_gzip(path: Path) -> bytes:
+    """Return what a .gz file unpacks to.
+
+    Raises:
+        InputError: it unpacks to more than is free in memory.
+    """
+    check_memory(3 * regular_size(path), "the file")
+    parts, size = [], 0
+    with gzip.open(path) as file:
+        while part := file.read(1 << 24):
+            parts.append(part)
+            size += len(part)
+            check_memory(2 * size, "the unpacked file")
+    return b"".join(parts)
 
 
 def check_claim(claimed: int, stored: int, what: str, *, ratio: int = 1) -> None:
