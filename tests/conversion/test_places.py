@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from gns_pl.conversion.facts import find_out
+from gns_pl.conversion.facts import Facts, find_out, near_box
 from gns_pl.conversion.given import Given
 from gns_pl.conversion.sets import advised_radius_of
 from gns_pl.errors import InputError
 from gns_pl.io import read_manifest, read_trajectory
-from gns_pl.io.convert import open_set
+from gns_pl.io.convert import Stated, open_set
+from gns_pl.scene import Body, Box, Plane, Wall
 from tests.conversion.test_convert import BOX, converted, positions, same
+from tests.conversion.test_own_sets import a_flight, a_scene, write_ours
 from tests.io.convert import fixtures
 from tests.io.convert.fixtures import falling
 
@@ -121,3 +124,77 @@ def test_the_radius_to_train_with(tmp_path: Path, stated: float | None, radius: 
     source = theirs(tmp_path / "theirs", default_connectivity_radius=stated)
     folder = converted(source, tmp_path / "ours", spacing=0.1)
     assert advised_radius_of(read_manifest(folder)) == radius
+
+
+def with_origins(folder: Path, *origins: tuple[float, ...]) -> Path:
+    """A set of ours; its trajectories lie at several places on a map, those for training first."""
+    flights = [a_flight(a_scene(origin=origin)) for origin in origins]
+    return write_ours(folder, {"train": flights[:1], "valid": flights[:1], "test": flights[1:]})
+
+
+def test_an_origin_of_the_tests_alone_has_a_part_of_its_own(tmp_path: Path) -> None:
+    """Trajectories at two places on a map: each keeps its own on every way there and back."""
+    near, far = (10.0, 0.0, 0.0), tuple(MAP.tolist())
+    ours = with_origins(tmp_path / "ours", near, far)
+    again = converted(ours, tmp_path / "again")
+    assert [read_trajectory(again / f"{name}_0000.h5").scene.origin for name in ("train", "test")] == [near, far]
+    theirs = converted(ours, tmp_path / "theirs", to="geoelements")
+    metadata = json.loads((theirs / "metadata.json").read_text())
+    assert metadata["train"]["origin"] == list(near) and metadata["rollout"]["origin"] == list(far)
+    back = converted(theirs, tmp_path / "back", spacing=0.1)
+    assert [read_trajectory(back / f"{name}_0000.h5").scene.origin for name in ("train", "test")] == [near, far]
+    shown = positions(converted(ours, tmp_path / "vtk", to="vtk"))
+    for split, origin in (("train", near), ("test", far)):
+        np.testing.assert_allclose(shown[split][0], positions(ours)[split][0].astype(np.float64) + origin, atol=1e-9)
+
+
+def test_two_origins_that_a_format_has_one_place_for_are_refused(tmp_path: Path) -> None:
+    """The boxes near zero are the same, and nobody there could tell where they are."""
+    ours = with_origins(tmp_path / "ours", (0.0, 0.0, 0.0), tuple(MAP.tolist()))
+    with pytest.raises(InputError, match=r"0002\.h5: its origin is \[600000\.0, .*LagrangeBench has one for"):
+        converted(ours, tmp_path / "theirs", to="lagrangebench")
+    assert not (tmp_path / "theirs").exists()
+
+
+def test_a_box_of_one_recording_on_a_map_has_its_own_origin() -> None:
+    """Whole metres of its own box; one corner alone is stated beside the other of the set, on the map as well."""
+    facts = Facts(dt=0.01, scale=1.0, axes=(0, 1, 2), gravity=(0.0, 0.0, -9.81), spacing=0.1, types={}, notes=(),
+                  **near_box(*FAR.values()))  # fmt: skip
+    lower, upper = tuple(MAP + 20.25), tuple(MAP + 22.25)
+    own = facts.of(Stated(lower=lower, upper=upper))
+    assert own.origin == tuple(MAP + 20) and own.lower == (0.25,) * 3 and own.upper == (2.25,) * 3
+    higher = facts.of(Stated(upper=upper))
+    assert higher.origin == tuple(MAP) and higher.lower == (0.0,) * 3 and higher.upper == (22.25,) * 3
+    home = facts.of(Stated(lower=(0.0,) * 3, upper=(1.0,) * 3))
+    assert home.origin == (0.0,) * 3 and home.upper == (1.0,) * 3
+    given = replace(facts, given=("lower", "upper"))
+    assert given.of(Stated(lower=lower, upper=upper)) == given
+
+
+def test_a_scene_of_ours_that_lies_far_moves_with_its_bodies_and_obstacles(tmp_path: Path) -> None:
+    """As sets were made before origins were taken off: 10 m from zero in a box of 1 m."""
+    far = a_flight(a_scene(
+        lower=(10.25, 0.0, 0.0), upper=(11.25, 1.0, 1.0), bodies=(Body((10.5, 0.3, 0.3), (0.4,) * 3, (0.0,) * 3),),
+        obstacles=(Box((10.5, 0.0, 0.0), (0.25, 0.1, 0.1), Wall("slip")),
+                   Plane((10.5, 0.0, 0.1), (0.0, 0.0, 1.0), Wall("slip"))),
+    ))  # fmt: skip
+    ours = write_ours(tmp_path / "ours", {"train": [far], "valid": [far]})
+    moved = read_trajectory(converted(ours, tmp_path / "moved") / "train_0000.h5")
+    scene = moved.scene
+    assert scene.origin == (10.0, 0.0, 0.0) and scene.lower[0] == 0.25 and scene.upper[0] == 1.25
+    assert scene.bodies[0].position == (0.5, 0.3, 0.3) and scene.bodies[0].size == (0.4,) * 3
+    box, plane = scene.obstacles
+    assert isinstance(box, Box) and box.position == (0.5, 0.0, 0.0) and box.size == (0.25, 0.1, 0.1)
+    assert isinstance(plane, Plane) and plane.point == (0.5, 0.0, 0.1) and plane.normal == (0.0, 0.0, 1.0)
+    np.testing.assert_allclose(moved.position, far.position - np.float32([10, 0, 0]), atol=1e-9)
+
+
+def test_a_box_that_a_recording_states_of_itself_is_asked_about_before_anything_is_written(tmp_path: Path) -> None:
+    """One of two trajectories states a box that leaves out the upper layers; a box that is given is that of both."""
+    whole = a_flight(a_scene())
+    body = Body((0.3,) * 3, (0.1,) * 3, (0.0,) * 3)
+    low = replace(whole, scene=whole.scene.replace(upper=(0.45, 1.0, 1.0), bodies=(body,)))
+    ours = write_ours(tmp_path / "ours", {"train": [whole], "valid": [low]})
+    asks = find_out(open_set(ours), Given(spacing=0.05)).asks
+    assert len(asks) == 1 and "32 of 64 particles (50 %) lie outside the box [0.0, 0.0, 0.0] to [0.45, 1.0" in asks[0]
+    assert not find_out(open_set(ours), Given(spacing=0.05, **BOX)).asks
