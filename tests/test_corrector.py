@@ -59,3 +59,8 @@ def test_what_is_no_corrector_is_refused(tmp_path: Path) -> None:
         load_corrector(tmp_path / "a.corrector")
     with pytest.raises(InputError, match=r"correction\.interval must be positive"):
         CorrectorConfig(**{**vars(CONFIG), "interval": 0})
+
+
+def test_a_radius_below_the_spacing_is_refused() -> None:
+    with pytest.raises(InputError, match=r"0\.05 m reaches no neighbour at a spacing of 0\.1 m; take .*radius=0\.21$"):
+        CorrectorConfig(**{**vars(CONFIG), "connectivity_radius": 0.05})

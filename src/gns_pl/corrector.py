@@ -19,6 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from gns_pl.data.places import advised_radius
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
 from gns_pl.io import atomic_path
@@ -59,6 +60,11 @@ class CorrectorConfig:
         for name in ("interval", "spacing", "connectivity_radius", "slow"):
             if not getattr(self, name) > 0:
                 raise InputError(f"correction.{name} must be positive, not {getattr(self, name)}.")
+        if self.connectivity_radius < self.spacing:
+            raise InputError(
+                f"model.connectivity_radius = {self.connectivity_radius:g} m reaches no neighbour at a spacing of "
+                f"{self.spacing:.3g} m; take model.connectivity_radius={advised_radius(self.spacing):g}"
+            )
 
 
 class Corrector(nn.Module):

@@ -1,4 +1,4 @@
-"""What the machine is and what it lacks: processor, home folder, terminal, and a place for compiled code.
+"""What the machine is and what it lacks: processor, memory, home folder, terminal, and a place for compiled code.
 
 What libraries take for granted and containers leave out is made up for here. Nothing here knows what the package does.
 """
@@ -35,6 +35,15 @@ def machine_name() -> str:
         pass  # not Linux, or a processor without a name
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return f"{name}, {cores} cores"
+
+
+def free_memory() -> int:
+    """Return the bytes that can still be used; all of the machine's where the system does not say more."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration, ValueError):
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def prepare_process() -> None:

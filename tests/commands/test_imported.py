@@ -47,7 +47,7 @@ def test_convert_train_evaluate(tmp_path: Path, dim: int) -> None:
     fixtures.write_geoelements(tmp_path / "theirs", positions, scenes[0][1], np.float64(0.5))
     metadata = json.loads((tmp_path / "theirs/metadata.json").read_text())
     (tmp_path / "theirs/metadata.json").write_text(json.dumps({**metadata, "dt": 0.02}))
-    made = door(tmp_path, "convert.py", "source=theirs", "target=datasets/theirs", "trust=true")
+    made = door(tmp_path, "convert.py", "source=theirs", "target=datasets/theirs", "trust=true", "material_value=tan")
     assert made.returncode == 0, made.stderr
     trained = door(tmp_path, "train.py", "data=datasets/theirs", *SMALL)
     assert trained.returncode == 0, trained.stderr
@@ -108,7 +108,7 @@ def test_weights_of_geoelements_are_judged_and_simulate(tmp_path: Path) -> None:
     metadata = json.loads((tmp_path / "theirs/metadata.json").read_text())
     (tmp_path / "theirs/metadata.json").write_text(json.dumps({**metadata, "dt": 0.02}))
     torch.save(random_weights(3, material=True), tmp_path / "theirs/model-500.pt")
-    made = door(tmp_path, "convert.py", "source=theirs", "target=ours", "trust=true")
+    made = door(tmp_path, "convert.py", "source=theirs", "target=ours", "trust=true", "material_value=tan")
     assert made.returncode == 0, made.stderr
     told = door(tmp_path, "convert.py", "source=theirs/model-500.pt", "inspect=true")
     assert told.returncode == 0 and "3 message-passing steps" in told.stdout and not (tmp_path / "a.ckpt").exists()

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from gns_pl.conversion import convert, inspect_source, sets
-from gns_pl.conversion.facts import Given, work_out
+from gns_pl.conversion.facts import work_out
+from gns_pl.conversion.given import Given
 from gns_pl.conversion.plan import plan_items
 from gns_pl.conversion.recordings import Assumed
 from gns_pl.data.statistics import RunningStatistics
@@ -29,6 +30,7 @@ BOX = {"lower": (0.0, 0.0, 0.0), "upper": (1.0, 1.0, 1.0)}
 
 
 def converted(source: Path, target: Path, *, to: str = "gns_pl", trust: bool = True, **given: Any) -> Path:
+    given = {"material_value": "tan", **given}
     return convert(open_set(source, trust=trust), target, to=to, given=Given(**given), assumed=ASSUMED)
 
 
@@ -349,7 +351,7 @@ def test_cb_geo_with_its_deck_needs_nothing_else(tmp_path: Path) -> None:
 
 
 def test_the_report_says_what_a_source_is(geoelements: Path, tmp_path: Path) -> None:
-    text = "\n".join(inspect_source(open_set(geoelements, trust=True), Given()))
+    text = "\n".join(inspect_source(open_set(geoelements, trust=True), Given(material_value="tan")))
     for part in ("geoelements/gns", "4 (2 train, 1 valid, 1 test)", "T = 7 to 9 frames, N = 64", "unit of length: 1 m",
                  "3 (20 particles), 6 (236 particles)", "tan_friction_angle", "neighbours within 0.15 (stated)",
                  "nothing is missing"):  # fmt: skip
@@ -363,9 +365,10 @@ def test_the_door(geoelements: Path, tmp_path: Path) -> None:
     root, door = Path(__file__).parents[2], partial(call, tmp_path, "convert.py")
     refused = door("source=theirs", "target=datasets/ours")
     assert refused.returncode == 2 and "trust=true" in refused.stderr and "Traceback" not in refused.stderr
-    told = door("source=theirs", "inspect=true", "trust=true")
+    told = door("source=theirs", "inspect=true", "trust=true", "material_value=tan")
     assert told.returncode == 0 and "nothing is missing" in told.stdout and not (tmp_path / "datasets").exists()
     asked = ["source=theirs", "target=datasets/ours", "trust=true", "types={6:5}", "name=mine", "spacing=0.1"]
+    asked.append("material_value=tan")
     command = [sys.executable, str(root / "convert.py"), *asked]
     made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert made.returncode == 0, made.stderr

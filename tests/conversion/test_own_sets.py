@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from gns_pl.conversion import inspect_source
-from gns_pl.conversion.facts import Given, find_out, work_out
+from gns_pl.conversion.facts import find_out, work_out
+from gns_pl.conversion.given import Given
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
 from gns_pl.io import (

@@ -181,7 +181,7 @@ def test_numbers_of_the_reference_are_of_all_its_points_and_the_rollout_has_ever
     # `spreading` has 8 x 10 x 4 points and moves them by as far as they stood from the wall.
     for every, number in ((2, 4 * 5 * 2), (None, 2 * 3 * 1)):
         chosen = data | ({"every": every} if every else {})
-        save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02), chosen, {"steps": 0}))
+        save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02, connectivity_radius=0.4), chosen, {"steps": 0}))
         scene = run(checkpoint, tmp_path, only="short", save_trajectories=True)["scenes"]["short"]
         assert scene["num_particles"] == number
         assert scene["reference_points"] == {"number": 320, "spacing": pytest.approx(0.05, rel=1e-3), "all": True}

@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
+import gns_pl.graph.context
+from gns_pl.errors import InputError
 from gns_pl.graph.context import ContextGrid, context_fields
 
 
@@ -125,3 +129,50 @@ def test_momentum_above_is_that_of_what_lies_above(dim: int) -> None:
     _, momentum, *_ = context_fields(position, fast, ContextGrid.of(*corners, 0.1), batch, volume=volume)
     inside = ((position[:, :-1] > 0.15) & (position[:, :-1] < 0.85)).all(dim=1) & (position[:, -1] < 0.25)
     torch.testing.assert_close(momentum[inside], (0.2 * wind).expand_as(momentum[inside]), atol=0.01 * dim, rtol=0)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("boxes", [1, 3])
+def test_nodes_at_particles_alone_give_what_all_nodes_give(
+    dim: int, boxes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values and gradients, with particles on the floor, on the far faces and outside; boxes of different sizes."""
+    generator = torch.Generator().manual_seed(dim + boxes)
+
+    def draw(*shape: int) -> torch.Tensor:
+        return torch.rand(*shape, dtype=torch.float64, generator=generator)
+
+    lower = draw(boxes, dim)
+    upper = lower + 1 + 3 * draw(boxes, dim)
+    batch = torch.randint(boxes, (500,), generator=generator).sort().values
+    base = lower[batch] + (upper - lower)[batch] * (1.1 * draw(500, dim) ** 2 - 0.05)
+    base[::7, -1], base[::11, 0] = lower[batch[::7], -1], upper[batch[::11], 0]
+    velocity, volume = draw(500, dim) - 0.5, 1e-3 * draw(500)
+    results = []
+    for most in (10**9, 0):
+        monkeypatch.setattr(gns_pl.graph.context, "DENSE_NODES", most)
+        grid, position = ContextGrid.of(lower, upper, 0.11), base.clone().requires_grad_()
+        assert (grid.room is None) == (most == 0)
+        fields = context_fields(position, velocity, grid, batch, volume=volume)
+        (gradient,) = torch.autograd.grad(sum(each.sin().sum() for each in fields), position)
+        results.append((*fields, gradient))
+    for whole, sparse in zip(*results, strict=True):
+        torch.testing.assert_close(sparse, whole, rtol=1e-10, atol=1e-10)
+
+
+def test_a_box_of_a_hundred_metres_is_felt_as_a_small_one() -> None:
+    """The depth below a surface does not depend on how far the walls are, and neither does the memory."""
+    position = layer(3, 0.6, 0.05).float()
+    volume, batch = torch.full((len(position),), 0.05**3), torch.zeros(len(position), dtype=torch.int64)
+    results = []
+    for edge in (2.0, 100.0):
+        grid = ContextGrid.of(torch.zeros(1, 3), torch.full((1, 3), edge), 0.1)
+        results.append(context_fields(position, still(position), grid, batch, volume=volume))
+    assert math.prod(grid.shape) > 10**9 and grid.room is None
+    for near, far in zip(*results, strict=True):
+        torch.testing.assert_close(far, near, rtol=1e-4, atol=1e-4)
+
+
+def test_a_box_whose_cells_cannot_be_numbered_is_refused() -> None:
+    with pytest.raises(InputError, match=r"box of 1e\+08 m has too many cells of the radius, 0.01 m"):
+        ContextGrid.of(torch.zeros(1, 3), torch.full((1, 3), 1e8), 0.01)

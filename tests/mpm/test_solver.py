@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+import gns_pl.mpm.plan
+from gns_pl.errors import InputError
 from gns_pl.mpm import SimulationError, simulate
 from gns_pl.mpm.plan import largest_speed, make_grid
 from gns_pl.scene import Body, Scene, Wall, fill_scene
@@ -136,6 +138,16 @@ def test_an_unstable_run_is_stopped_and_told() -> None:
         SimulationError, match=r"'box'.*unstable: .* in step \d+ at .* s, point \d+ at \(.*\) m \(courant 12"
     ):
         simulate(scene, make_mpm(courant=12, allow_large_courant=True), frame_interval=0.2)
+
+
+def test_a_grid_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The grid spans the box, 11 numbers of 8 bytes a node; nothing of it is made before."""
+    scene = make_box((100.0, 100.0, 100.0), Body((0.3,) * 3, (0.25,) * 3, (0.0,) * 3), duration=0.1)
+    monkeypatch.setattr(gns_pl.mpm.plan, "free_memory", lambda: 8 * 10**9)
+    with pytest.raises(
+        InputError, match=r"grid of 2,000 x 2,000 x 2,000 cells of 0.05 m, which needs 705 GB, and 8 GB"
+    ):
+        simulate(scene, make_mpm(cell_size=0.05), frame_interval=0.01)
 
 
 def test_the_largest_speed_counts_start_and_fall() -> None:

@@ -226,3 +226,10 @@ def test_wandb_does_as_its_variable_says(
     assert [type(logger).__name__ for logger in loggers] == ["CSVLogger", "WandbLogger"][: 1 if offline is None else 2]
     if offline is not None:
         assert loggers[1]._offline is offline  # type: ignore[attr-defined]
+
+
+def test_a_radius_without_neighbours_is_refused_before_the_first_step(data_root: Path, tmp_path: Path) -> None:
+    """As with the default radius in a field of 100 m; said with the spacing and what to set, and nothing is left."""
+    with pytest.raises(InputError, match=r"has 0 neighbours .*= 0\.001 m, .* take model\.connectivity_radius=0\.\d+$"):
+        train(make_config(data_root, tmp_path, "model.connectivity_radius=0.001"), tmp_path, None)
+    assert not list(tmp_path.rglob("*.ckpt"))

@@ -118,3 +118,14 @@ def test_a_particle_that_is_not_finite_is_written_as_it_is(tmp_path: Path) -> No
     flow = moved(standing(), offset)
     write_paraview(tmp_path, flow, name="a")
     assert np.isnan(pv.read(tmp_path / "a_00003.vtp").points[5]).all()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_points_are_where_the_scene_came_from(tmp_path: Path, dim: int) -> None:
+    """Its origin is added in float64; of float32 half a metre would be left of 5 100 km."""
+    flow, origin = mixed(dim), (600_000.25, 5_100_000.0, 1500.0)[-dim:]
+    placed = replace(flow, scene=flow.scene.replace(origin=origin))
+    write_paraview(tmp_path, placed, name="flow")
+    points = np.asarray(pv.read(tmp_path / "flow_00003.vtp").points)
+    assert points.dtype == np.float64
+    np.testing.assert_array_equal(points, in_space(flow.position[3].astype(np.float64) + origin))

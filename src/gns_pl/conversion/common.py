@@ -1,4 +1,4 @@
-"""What a format that says things once for many trajectories can say of them: one box, one time step, one length.
+"""What a format that says things once for many trajectories can say of them: one box, origin, time step, length.
 
 Trajectories are looked at one after another as they are written; the first that does not fit ends the export with a
 sentence. What a format has no place for, and what differs, is listed for a warning.
@@ -24,7 +24,7 @@ class Common:
 
     Args:
         what: name of the format.
-        part_of: split → the part of the metadata that speaks for it; every part has one box and one time step.
+        part_of: split → the part of the metadata that speaks for it; every part has one box, origin and time step.
         equal_lengths: all trajectories of a split have as many frames.
         most_features: material values of a particle; with any, all trajectories have as many. None drops all.
 
@@ -47,6 +47,7 @@ class Common:
         self.frames: dict[str, list[int]] = {split: [] for split in SPLITS}
         self.num_particles = 0
         self._boxes: dict[str, list[list[float]]] = {}
+        self._origins: dict[str, list[float]] = {}
         self._steps: dict[str, float] = {}
         self._seen: dict[str, list[Any]] = {}
 
@@ -83,6 +84,13 @@ class Common:
             raise InputError(
                 f"its box is {box}, that of trajectories before it {known}, and {self.what} has one for {where}; "
                 f"{APART}, or give one box for all: lower=… upper=…"
+            )
+        origin = list(scene.origin)
+        before = self._origins.setdefault(part, origin)
+        if origin != before:
+            raise InputError(
+                f"its origin is {origin}, that of trajectories before it {before}, and {self.what} has one for "
+                f"{where}; {APART}"
             )
         if abs(dt - step) > 1e-9 * step:
             raise InputError(
@@ -141,6 +149,7 @@ class Common:
     def said(self) -> dict[str, Any]:
         """Return "bounds", "dt" and "sequence_length" of all trajectories, or of each part where boxes or steps differ.
 
+        Where there is one, "origin" is beside them: whoever trains reads float32, so that positions there stay less it.
         Rollouts are made of as many steps as the sequence is long, so that of several lengths it is the shortest: of
         what is rolled out, which is not the training.
         """
@@ -148,8 +157,10 @@ class Common:
         for part, bounds in self._boxes.items():
             lengths = [length for split in SPLITS if self.part_of[split] == part for length in self.frames[split]]
             parts[part] = {"bounds": bounds, "dt": self._steps[part], "sequence_length": min(lengths)}
+            if any(self._origins[part]):
+                parts[part]["origin"] = self._origins[part]
         first = next(iter(parts.values()))
-        if any(part[key] != first[key] for part in parts.values() for key in ("bounds", "dt")):
+        if any(part.get(key) != first.get(key) for part in parts.values() for key in ("bounds", "dt", "origin")):
             return parts
         rolled = self.frames["valid"] + self.frames["test"]
         return {**first, "sequence_length": min(rolled or self.frames["train"])}

@@ -18,7 +18,8 @@ from typing import Any
 
 import gns_pl
 from gns_pl.conversion import exports
-from gns_pl.conversion.facts import Facts, Given, work_out
+from gns_pl.conversion.facts import Facts, work_out
+from gns_pl.conversion.given import Given
 from gns_pl.conversion.plan import Item, plan_items
 from gns_pl.conversion.recordings import Assumed
 from gns_pl.conversion.sets import write_set

@@ -35,12 +35,14 @@ def convert_config(cfg: DictConfig) -> None:
         _convert_weights(Path(source), None if inspect else Path(target), settings, weights)
         return
     from gns_pl.conversion.convert import convert
-    from gns_pl.conversion.facts import Given
+    from gns_pl.conversion.given import Given
     from gns_pl.conversion.inspection import inspect_source
     from gns_pl.conversion.recordings import Assumed
+    from gns_pl.conversion.sets import advised_radius_of
+    from gns_pl.io import read_manifest
     from gns_pl.io.convert import open_set
 
-    named = ("dt", "scale", "gravity", "gravity_axis", "lower", "upper", "spacing", "types")
+    named = ("dt", "scale", "gravity", "gravity_axis", "lower", "upper", "spacing", "types", "material_value")
     given = Given(**{key: settings.pop(key) for key in named})
     assumed = Assumed(settings.pop("material"), settings.pop("wall"))
     found = open_set(source, **of_files)
@@ -50,9 +52,8 @@ def convert_config(cfg: DictConfig) -> None:
     path = convert(found, target, given=given, assumed=assumed, **settings)
     print(f"Made: {path}")
     if settings["to"] == "gns_pl":
-        radius = found.stated.radius
-        more = "" if radius is None else f" model.connectivity_radius={radius * (given.scale or 1):g}"
-        print(f"To train on it: python train.py {override('data', path)}{more}")
+        radius = advised_radius_of(read_manifest(path))
+        print(f"To train on it: python train.py {override('data', path)} model.connectivity_radius={radius:g}")
 
 
 def _convert_weights(source: Path, target: Path | None, settings: dict[str, Any], weights: dict[str, Any]) -> None:

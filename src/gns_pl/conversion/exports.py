@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from gns_pl.conversion.common import Common
 from gns_pl.conversion.facts import Facts
+from gns_pl.conversion.material_value import METADATA_KEY
 from gns_pl.conversion.plan import Item
 from gns_pl.conversion.recordings import Assumed, si_blocks, start_of, whole_trajectory
+from gns_pl.data.places import advised_radius
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.fields import ParticleType
 from gns_pl.io import SPLITS
@@ -28,8 +30,6 @@ from gns_pl.trajectory import Trajectory
 
 Blocks: TypeAlias = Iterator[NDArray[np.float32]]
 """All frames of a recording, block by block [n, N, D] [m]."""
-RADIUS = 2.1
-"""Connectivity radius where the source has none, in spacings: no distance of a lattice, which rounding would decide."""
 TYPE_SIZE = 16
 """Numbers in which networks of geoelements/gns code a particle's type."""
 VELOCITIES = 5
@@ -66,9 +66,8 @@ class FrameStatistics:
     def metadata(self, found: ForeignSet, facts: Facts) -> dict[str, Any]:
         """Return what geoelements/gns and LagrangeBench are told of the whole set, in metres and frames."""
         radius = found.stated.radius
-        default = float(f"{RADIUS * facts.spacing:.6g}")
         return {
-            "default_connectivity_radius": default if radius is None else radius * facts.scale,
+            "default_connectivity_radius": advised_radius(facts.spacing) if radius is None else radius * facts.scale,
             "dim": facts.dim,
             "vel_mean": self.velocity.mean.tolist(),
             "vel_std": self.velocity.std.tolist(),
@@ -131,6 +130,7 @@ def write_geoelements(export: Export) -> None:
             part of the metadata, obstacles, or a recording that cannot be used.
     """
     seen, common = FrameStatistics(export.facts.dim, _splits(export.items)[0]), export.common
+    feature = None
     for split in _splits(export.items):
         with npz_writer(export.folder / f"{split}.npz") as add:
             for number, item, recording, start, blocks in export.opened(split):
@@ -138,6 +138,7 @@ def write_geoelements(export: Export) -> None:
                 whole = whole_trajectory(start, recording.num_frames, looked)
                 arrays: dict[str, NDArray[Any]] = {"position": whole.position, "particle_type": start.particle_type}
                 if start.material_features:
+                    feature = start.material_features[0]
                     arrays["material"] = start.material[:, 0]
                 add(f"simulation_trajectory_{number}", arrays)
     dim, metadata = export.facts.dim, seen.metadata(export.found, export.facts)
@@ -146,6 +147,7 @@ def write_geoelements(export: Export) -> None:
     if clip is not None:
         metadata["boundary_augment"] = clip
     if common.num_features:  # their program knows the widths without a material value by itself
+        metadata[METADATA_KEY] = feature
         metadata |= {"nnode_in": (VELOCITIES + 2) * dim + TYPE_SIZE + 1, "nedge_in": dim + 1}
     _write_metadata(export.folder, with_parts(metadata, common.said()))
 
@@ -187,7 +189,7 @@ def write_vtk(export: Export) -> None:
 
     for split in _splits(export.items):
         for _, item, recording, start, blocks in export.opened(split):
-            box, obstacles = (start.scene.lower, start.scene.upper), start.scene.obstacles
+            box, obstacles = (start.scene.lower, start.scene.upper, start.scene.origin), start.scene.obstacles
             export.common.note(start.scene, boxes=[box], obstacles=[None, *obstacles])
             whole = whole_trajectory(start, recording.num_frames, blocks)
             write_paraview(export.folder / split, whole, name=item.name)

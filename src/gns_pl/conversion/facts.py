@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gns_pl.conversion.sample import Sample, seen_spacing, take_sample
+from gns_pl.conversion.given import Given, axis_number
+from gns_pl.conversion.material_value import material_question, stated_meaning
+from gns_pl.conversion.sample import Sample, box_findings, listed, stated_or_seen_spacing, take_sample
 from gns_pl.data.probes import measure_gravity
 from gns_pl.errors import InputError
 from gns_pl.io.convert import ForeignSet, Stated
 from gns_pl.io.convert.ours import KIND as OURS
+from gns_pl.scene.origin import COARSE, far_origin, without_origin
 
 EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
@@ -25,50 +27,6 @@ SI_KINDS = ("CB-Geo MPM", OURS)
 OF_RECORDINGS = ("dt", "lower", "upper", "gravity", "spacing")
 """What every recording may state of itself."""
 AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
-
-
-@dataclass(frozen=True)
-class Given:
-    """What the user says, in the source's units and axes; None leaves it to the source.
-
-    Attributes:
-        dt: time between frames [s].
-        scale: metres in the source's unit of length.
-        gravity: magnitude [m/s²].
-        gravity_axis: "x", "y", "z", or the number of the axis.
-        lower: lower corner of the box [D].
-        upper: upper corner of the box [D].
-        spacing: of neighbouring particles.
-        types: particle types of the source → ours, where they differ.
-    """
-
-    dt: float | None = None
-    scale: float | None = None
-    gravity: float | None = None
-    gravity_axis: str | int | None = None
-    lower: tuple[float, ...] | None = None
-    upper: tuple[float, ...] | None = None
-    spacing: float | None = None
-    types: Mapping[int, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in ("dt", "scale", "spacing"):
-            value = getattr(self, name)
-            if value is not None and not (_is_number(value) and 0 < value < math.inf):
-                raise InputError(f"{name} must be a positive number, not {value!r}.")
-        if self.gravity is not None and not (_is_number(self.gravity) and 0 <= self.gravity < math.inf):
-            raise InputError(f"gravity must be its magnitude, a number that is not negative, not {self.gravity!r}.")
-        for name in ("lower", "upper"):
-            value = getattr(self, name)
-            if value is not None:
-                if isinstance(value, str) or not all(map(_is_number, value)):
-                    raise InputError(f"{name} must be a list of numbers, not {value!r}.")
-                object.__setattr__(self, name, tuple(map(float, value)))
-        try:
-            types = {int(key): int(value) for key, value in dict(self.types or {}).items()}
-        except (TypeError, ValueError):
-            raise InputError(f"types must map numbers to numbers, as types={{0:6}}, not {self.types!r}.") from None
-        object.__setattr__(self, "types", types)
 
 
 @dataclass(frozen=True)
@@ -85,7 +43,9 @@ class Facts:
         spacing: of neighbouring particles [m].
         types: particle types of the source → ours.
         notes: what was worked out and how, sentences.
+        origin: what is taken off coordinates that are far from zero, ours [D] [m]; box and positions are less it.
         given: names of what the user said, which then holds for every recording.
+        material_value: as `Given`; None where no trajectory that was looked at needs it.
     """
 
     dt: float
@@ -97,7 +57,9 @@ class Facts:
     spacing: float
     types: Mapping[int, int]
     notes: tuple[str, ...]
+    origin: tuple[float, ...]
     given: tuple[str, ...] = ()
+    material_value: str | None = None
 
     @property
     def dim(self) -> int:
@@ -127,7 +89,24 @@ class Facts:
             changes["dt"] = float(stated.dt)
         if stated.spacing is not None and "spacing" not in self.given:
             changes["spacing"] = float(stated.spacing * self.scale)
+        if "lower" in changes or "upper" in changes:
+            lower, upper = (tuple(np.add(corner, self.origin).tolist()) for corner in (self.lower, self.upper))
+            changes |= near_box(changes.get("lower", lower), changes.get("upper", upper))
         return replace(self, **changes)
+
+    def origin_on_map(self, earlier: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the origin of a scene, what earlier conversions and this one take off [D] [m].
+
+        Args:
+            earlier: what the source says was taken off before, in its units and axes [D]; empty for nothing.
+
+        Raises:
+            InputError: an earlier origin of other dimensions.
+        """
+        if earlier and len(earlier) != self.dim:
+            raise InputError(f"has an origin of {len(earlier)} components in {self.dim} dimensions.")
+        before = earlier or (0.0,) * self.dim
+        return tuple(zero + before[axis] * self.scale for zero, axis in zip(self.origin, self.axes, strict=True))
 
 
 @dataclass(frozen=True)
@@ -181,20 +160,33 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         )
     lower, upper = given.lower or stated.lower, given.upper or stated.upper
     if lower is None or upper is None:
-        seen = (_listed(sample.lower), _listed(sample.upper))
+        seen = (listed(sample.lower, sample.extent), listed(sample.upper, sample.extent))
         asks.append(f"the box is not stated; the particles lie between {seen[0]} and {seen[1]}: give lower=… upper=…")
     elif len(lower) != dim or len(upper) != dim or any(a >= b for a, b in zip(lower, upper, strict=True)):
         raise InputError(f"{found.path}: a box from {list(lower)} to {list(upper)} does not fit {dim} dimensions.")
-    spacing = given.spacing or stated.spacing or seen_spacing(sample)
-    if spacing is None:
-        asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
+    asks += [question for name, question in stated.questions.items() if getattr(given, name) is None]
+    material_value = given.material_value or stated_meaning(stated.metadata)
+    if sample.material is not None and material_value is None:
+        asks.append(material_question(*sample.material))
+    spacing = given.spacing or stated_or_seen_spacing(found, sample, asks)
+    apart = spacing or stated.spacing
+    if apart is not None and sample.rounding > COARSE * apart:
+        raise InputError(
+            f"{found.path}: coordinates up to {sample.largest:.6g} are rounded to {sample.rounding:.2g}, as float32 "
+            f"is there, for particles {apart:.3g} apart; write them in float64 or less an origin"
+        )
+    for_all = tuple(name for name in OF_RECORDINGS if getattr(given, name) is not None)
+    if spacing is not None and lower is not None and upper is not None and len(lower) == len(upper) == dim:
+        seen_outside, ask = box_findings(sample, lower, upper, spacing, for_all)
+        notes += seen_outside
+        asks += [ask] if ask else []
     gravity = given.gravity
     if gravity is None and magnitude is not None and scale is not None:
         gravity = magnitude * scale if found.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
     if axis is not None and gravity is None and scale is not None:
         asks.append("how strong gravity is, is not stated and cannot be seen: give gravity=9.81")
     values = {"dt": dt, "scale": scale, "axis": axis, "gravity": gravity, "lower": lower, "upper": upper,
-              "spacing": spacing, "dim": dim}  # fmt: skip
+              "spacing": spacing, "dim": dim, "material_value": material_value}  # fmt: skip
     known = (dt, scale, axis, gravity, lower, upper, spacing)
     if asks or any(value is None for value in known):
         return Findings(None, tuple(asks), values, tuple(notes))
@@ -204,19 +196,29 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         names = ", ".join("xyz"[each] for each in axes)
         notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
     vector = _vector(found, axes, gravity)
+    box = near_box(*(tuple(corner[each] * scale for each in axes) for corner in (lower, upper)))
+    if any(box["origin"]):
+        text = "coordinates are far from zero: the origin {} m is taken off them, and remembered"
+        notes.append(text.format(list(box["origin"])))
     facts = Facts(
         dt=float(dt),
         scale=float(scale),
         axes=axes,
-        lower=tuple(lower[each] * scale for each in axes),
-        upper=tuple(upper[each] * scale for each in axes),
         gravity=vector,
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
-        given=tuple(name for name in OF_RECORDINGS if getattr(given, name) is not None),
+        given=for_all,
+        material_value=material_value,
+        **box,
     )
     return Findings(facts, (), values, tuple(notes))
+
+
+def near_box(lower: tuple[float, ...], upper: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+    """Return the fields `lower`, `upper` and `origin` of `Facts` for a box along our axes [D] [m]."""
+    origin = far_origin(lower, upper)
+    return {"lower": without_origin(lower, origin), "upper": without_origin(upper, origin), "origin": origin}
 
 
 def turned_axes(axis: int, dim: int) -> tuple[int, ...]:
@@ -251,7 +253,7 @@ def _gravity(
         return sample.dim - 1 if axis is None else axis, None
     if dt is None or not sample.windows:
         return axis, None
-    rounding = float(np.finfo(np.float32).eps * max(np.abs(sample.lower).max(), np.abs(sample.upper).max()) / dt**2)
+    rounding = sample.rounding / dt**2
     second = [np.diff(window, n=2, axis=0) / dt**2 for window in sample.windows]
     acceleration = np.concatenate([each[1] for each in second])
     previous = np.concatenate([each[0] for each in second])
@@ -288,26 +290,3 @@ def _scale(found: ForeignSet, given: Given, magnitude: float | None, asks: list[
         f"scale={earth / magnitude:.4g} if gravity was {earth:g} m/s², or scale=1 to keep the numbers"
     )
     return None
-
-
-def axis_number(wanted: str | int, dim: int) -> int:
-    """Return the number of an axis that is named or numbered; in two dimensions z is the second.
-
-    Raises:
-        InputError: no axis.
-    """
-    names = {name: number for number, name in enumerate("xyz"[:dim])}
-    if dim == 2:
-        names["z"] = 1
-    number = wanted if isinstance(wanted, int) else names.get(wanted)
-    if isinstance(wanted, bool) or number is None or not 0 <= number < dim:
-        raise InputError(f"gravity_axis must be one of {', '.join(names)}, not {wanted!r}.")
-    return number
-
-
-def _listed(values: NDArray[np.float64]) -> list[float]:
-    return [float(f"{value:.4g}") for value in values]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

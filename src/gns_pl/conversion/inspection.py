@@ -9,17 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gns_pl.conversion.facts import Findings, Given, find_out
-from gns_pl.conversion.sample import Sample, take_sample
+from gns_pl.conversion.facts import Findings, find_out
+from gns_pl.conversion.given import Given
+from gns_pl.conversion.sample import Sample, listed, take_sample
+from gns_pl.data.places import RADIUS
 from gns_pl.data.probes import neighbour_counts
 from gns_pl.errors import InputError
+from gns_pl.fields import MATERIAL_FEATURES
 from gns_pl.io import SPLITS
-from gns_pl.io.convert import ForeignSet
+from gns_pl.io.convert import UNCERTAIN_MATERIAL, ForeignSet
 
 MOST_OPENED = 50
 """Recordings that are opened; of more, evenly spread ones."""
 MOST_QUERIES = 300
-RADII = (1.5, 2.0)
+RADII = (1.5, RADIUS)
 """Where no connectivity radius is stated, neighbours are counted within so many spacings."""
 
 
@@ -41,7 +44,7 @@ def inspect_source(found: ForeignSet, given: Given) -> list[str]:
         findings, asked = None, (str(error),)
     values = findings.values if findings else {}
     lines = [f"{found.path}: {found.kind}"]
-    lines += _shapes(found)
+    lines += _shapes(found, values.get("material_value"))
     lines += _units(values, sample)
     lines += _motion(values, sample)
     lines += _neighbours(found, values, sample)
@@ -52,7 +55,7 @@ def inspect_source(found: ForeignSet, given: Given) -> list[str]:
     return lines
 
 
-def _shapes(found: ForeignSet) -> list[str]:
+def _shapes(found: ForeignSet, material_value: str | None) -> list[str]:
     splits = Counter(split or "no split" for split, _ in found.names)
     order = [*SPLITS, "no split"]
     counted = ", ".join(f"{splits[split]} {split}" for split in order if splits[split])
@@ -74,9 +77,12 @@ def _shapes(found: ForeignSet) -> list[str]:
             types.update(recording.particle_type.tolist())
             notes += [note for note in recording.notes if note not in notes]
     several = [name for name, values in said.items() if len(values) > 1]
-    if several:
+    if several and not any(note.startswith("trajectories differ") for note in found.stated.notes):
         notes.append(f"trajectories differ in {', '.join(several)}; what is told here is that of the first")
+    meaning = "of unknown meaning" if material_value is None else f"{MATERIAL_FEATURES[0]} by {material_value}"
+    meaning = "left out" if material_value == "none" else meaning
     named = sorted({name for each in features for name in each})
+    named = [f"{name} ({meaning})" if name == UNCERTAIN_MATERIAL else name for name in named]
     kinds = ", ".join(f"{kind} ({count:,} particles)" for kind, count in sorted(types.items()))
     looked = "" if len(chosen) == len(found.names) else f" (of the {len(chosen)} looked at)"
     return [
@@ -92,9 +98,9 @@ def _shapes(found: ForeignSet) -> list[str]:
 
 def _units(values: Mapping[str, Any], sample: Sample) -> list[str]:
     scale, axis = values.get("scale"), values.get("axis")
-    seen = f"{_numbers(sample.lower)} to {_numbers(sample.upper)}"
+    seen = f"{listed(sample.lower, sample.extent)} to {listed(sample.upper, sample.extent)}"
     lower, upper = values.get("lower"), values.get("upper")
-    box = "unknown" if lower is None or upper is None else f"{_numbers(lower)} to {_numbers(upper)}"
+    box = "unknown" if lower is None or upper is None else f"{[float(x) for x in lower]} to {[float(x) for x in upper]}"
     return [
         f"  unit of length: {'unknown' if scale is None else f'{scale:g} m'}",
         f"  time between frames: {_known(values.get('dt'), 's')}",

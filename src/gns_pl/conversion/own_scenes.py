@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from gns_pl.conversion.facts import Facts
 from gns_pl.scene import FACES, Body, Box, Obstacle, Scene
+from gns_pl.scene.origin import without_origin
 
 T = TypeVar("T")
 
@@ -22,13 +23,16 @@ def carried_scene(scene: Scene, facts: Facts) -> Scene:
     Raises:
         InputError: a box that leaves out a body.
     """
-    if facts.scale == 1 and list(facts.axes) == sorted(facts.axes):
+    if facts.scale == 1 and list(facts.axes) == sorted(facts.axes) and not any(facts.origin):
         return scene.replace(lower=facts.lower, upper=facts.upper, gravity=facts.gravity)
     return scene.replace(
         lower=facts.lower,
         upper=facts.upper,
         gravity=facts.gravity,
-        bodies=tuple(replace(body, **_lengths(body, facts, "position", "size", "velocity")) for body in scene.bodies),
+        bodies=tuple(
+            replace(body, **_place(body, facts, "position"), **_lengths(body, facts, "size", "velocity"))
+            for body in scene.bodies
+        ),
         walls=turned_faces(scene.walls, facts.axes),
         obstacles=tuple(_obstacle(each, facts) for each in scene.obstacles),
     )
@@ -36,9 +40,13 @@ def carried_scene(scene: Scene, facts: Facts) -> Scene:
 
 def _obstacle(obstacle: Obstacle, facts: Facts) -> Obstacle:
     if isinstance(obstacle, Box):
-        return replace(obstacle, **_lengths(obstacle, facts, "position", "size"))
+        return replace(obstacle, **_place(obstacle, facts, "position"), **_lengths(obstacle, facts, "size"))
     normal = tuple(obstacle.normal[axis] for axis in facts.axes)
-    return replace(obstacle, **_lengths(obstacle, facts, "point"), normal=normal)
+    return replace(obstacle, **_place(obstacle, facts, "point"), normal=normal)
+
+
+def _place(part: Body | Obstacle, facts: Facts, name: str) -> dict[str, Any]:
+    return {name: without_origin(_lengths(part, facts, name)[name], facts.origin)}
 
 
 def _lengths(part: Body | Obstacle, facts: Facts, *names: str) -> dict[str, Any]:

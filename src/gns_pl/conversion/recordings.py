@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.conversion.facts import Facts
+from gns_pl.conversion.material_value import material_question, tangents
 from gns_pl.conversion.own_scenes import carried_scene
+from gns_pl.data.places import OutsideCounter
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
-from gns_pl.io.convert import Recording, Stated
+from gns_pl.io.convert import UNCERTAIN_MATERIAL, Recording, Stated
+from gns_pl.io.convert.source import without_material
 from gns_pl.scene import FACES, Body, Material, Scene, Wall, part_from_dict
 from gns_pl.trajectory import Trajectory
 
@@ -46,11 +49,19 @@ def si_blocks(recording: Recording, facts: Facts) -> Iterator[NDArray[np.float32
     """Yield all frames of a recording in blocks, [n, N, D] [m], float32; exact where these are the source's own.
 
     Raises:
-        InputError: frames that cannot be used, or that float32 cannot hold.
+        InputError: frames that cannot be used, that float32 cannot hold, or with too many particles outside the box.
     """
+    moved = types_of(recording, facts) != int(ParticleType.KINEMATIC)
+    inside = OutsideCounter(facts.lower, facts.upper, margin=facts.spacing)
     size = max(1, BLOCK_BYTES // (8 * recording.num_particles * recording.dim))
     for start in range(0, recording.num_frames, size):
-        yield in_si(recording.frames(start, start + size), facts)
+        block = in_si(recording.frames(start, start + size), facts)
+        inside.count(block[:, moved])
+        yield block
+    try:
+        inside.check()
+    except InputError as error:
+        raise InputError(f"{error}; give lower=… upper=…, or the right scale=….") from error
 
 
 def in_si(position: NDArray[Any], facts: Facts) -> NDArray[np.float32]:
@@ -62,8 +73,8 @@ def in_si(position: NDArray[Any], facts: Facts) -> NDArray[np.float32]:
     if position.shape[2] != facts.dim:
         raise InputError(f"has {position.shape[2]} dimensions, other trajectories of the set {facts.dim}.")
     turned = position[:, :, list(facts.axes)]
-    if facts.scale != 1:
-        turned = turned.astype(np.float64) * facts.scale
+    if facts.scale != 1 or any(facts.origin):
+        turned = turned.astype(np.float64) * facts.scale - np.array(facts.origin)
     with np.errstate(over="ignore"):
         single = np.ascontiguousarray(turned, dtype=np.float32)
     if not np.isfinite(single).all():
@@ -86,21 +97,22 @@ def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: State
     Raises:
         InputError: positions outside every box, or types without a moving particle.
     """
+    features, values = _known_material(recording, facts)
     first = in_si(recording.frames(0, 1), facts)
-    types = np.array([facts.types.get(int(each), int(each)) for each in recording.particle_type], dtype=np.int64)
+    types = types_of(recording, facts)
     moved = types != int(ParticleType.KINEMATIC)
     if not moved.any():
         raise InputError("has kinematic particles alone, so nothing moves.")
-    mass = recording.mass
+    mass, stated = recording.mass, stated if recording.stated is None else merged(stated, recording.stated)
     if recording.scene is not None:
         scene = carried_scene(recording.scene, facts)
         if mass is not None:  # of the same density in another unit of length
             mass = mass * facts.scale**facts.dim
     else:
-        plain = assumed.plain(stated if recording.stated is None else merged(stated, recording.stated))
-        if TANGENT in recording.material_features:
-            tangents = recording.material[moved, recording.material_features.index(TANGENT)]
-            plain["friction_angle_deg"] = math.degrees(math.atan(max(0.0, float(tangents.mean()))))
+        plain = assumed.plain(stated)
+        if TANGENT in features:
+            tangent = values[moved, features.index(TANGENT)]
+            plain["friction_angle_deg"] = math.degrees(math.atan(max(0.0, float(tangent.mean()))))
         material = part_from_dict(Material, "material", plain)
         scene = scene_of(first[0][moved], facts, material, assumed, name, (recording.num_frames - 1) * facts.dt)
     if mass is None:
@@ -109,20 +121,41 @@ def start_of(recording: Recording, facts: Facts, assumed: Assumed, stated: State
     return Trajectory(
         position=first,
         particle_type=types,
-        material=recording.material,
-        material_features=recording.material_features,
+        material=values,
+        material_features=features,
         mass=np.asarray(mass, dtype=np.float32),
         initial_velocity=_initial_velocity(recording, facts),
         dt=facts.dt,
-        scene=scene,
+        scene=scene.replace(origin=facts.origin_on_map(stated.origin)),
         provenance={},
     )
+
+
+def _known_material(recording: Recording, facts: Facts) -> tuple[tuple[str, ...], NDArray[np.float32]]:
+    """Return names of the material features and their values [N, K], what was of unknown meaning as tan φ.
+
+    Raises:
+        InputError: nobody said what they mean.
+    """
+    values = recording.material
+    if recording.material_features != (UNCERTAIN_MATERIAL,):
+        return recording.material_features, values
+    if facts.material_value is None:
+        raise InputError(f"{material_question(float(values.min()), float(values.max()))}.")
+    if facts.material_value == "none":
+        return (), without_material(len(values))
+    return (TANGENT,), tangents(values, facts.material_value)
 
 
 def merged(stated: Stated, own: Stated) -> Stated:
     """Return what a source says of its set, and over it what it says of one recording."""
     said = {each.name: getattr(own, each.name) for each in fields(own)}
     return replace(stated, **{name: value for name, value in said.items() if value not in (None, (), {})})
+
+
+def types_of(recording: Recording, facts: Facts) -> NDArray[np.int64]:
+    """Return the particle types of a recording, ours [N]."""
+    return np.array([facts.types.get(int(each), int(each)) for each in recording.particle_type], dtype=np.int64)
 
 
 def scene_of(

@@ -12,6 +12,7 @@ from gns_pl.conversion.facts import Facts
 from gns_pl.conversion.own_scenes import turned_faces
 from gns_pl.conversion.plan import Item
 from gns_pl.conversion.recordings import Assumed, si_blocks, start_of
+from gns_pl.data.places import advised_radius
 from gns_pl.data.statistics import RunningStatistics, measure_motion
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
@@ -128,10 +129,19 @@ def _measured(path: Path, header: TrajectoryHeader, static: dict[str, Any]) -> d
     return measure_motion(path, header, static["initial_velocity"], moved=moved)
 
 
+def advised_radius_of(manifest: Manifest) -> float:
+    """Return the connectivity radius to train with on an imported set [m]: the source's, or by the spacing.
+
+    A radius below the spacing reaches nobody, so that it must be of other units; the source's then counts for nothing.
+    """
+    stated = manifest.spec["imported"]["connectivity_radius"]
+    return float(stated) if stated and stated >= manifest.spacing else advised_radius(manifest.spacing)
+
+
 def imported_spec(found: ForeignSet, facts: Facts, assumed: Assumed, name: str) -> dict[str, Any]:
     """Return what stands in the place of a generation's specification: where it came from, and what was made of it.
 
-    A set of ours keeps its material and walls, and unit, axes and types lead on to where it came from itself.
+    A set of ours keeps its material and walls, and unit, axes, origin and types lead on to where it came from itself.
     """
     before: dict[str, Any] = found.stated.metadata["spec"] if found.kind == OURS else {}
     earlier: dict[str, Any] = before.get("imported", {})
@@ -143,6 +153,7 @@ def imported_spec(found: ForeignSet, facts: Facts, assumed: Assumed, name: str) 
         "gns_pl": gns_pl.__version__,
         "scale": facts.scale * earlier.get("scale", 1.0),
         "axes": [axes[axis] for axis in facts.axes],
+        "origin": list(facts.origin_on_map(found.stated.origin)),
         "types": {**earlier.get("types", {}), **{str(key): value for key, value in facts.types.items()}},
         "connectivity_radius": None if radius is None else radius * facts.scale,
         "notes": [*earlier.get("notes", ()), *facts.notes],

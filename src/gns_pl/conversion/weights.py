@@ -176,7 +176,8 @@ def _frame(
     spacing: float | None,
     dt: float | None,
 ) -> Frame:
-    from gns_pl.conversion.facts import axis_number, turned_axes
+    from gns_pl.conversion.facts import turned_axes
+    from gns_pl.conversion.given import axis_number
 
     axes, metres = tuple(range(shape.dim)), None
     if data is not None:

@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader as TorchDataLoader
 from torch.utils.data import Dataset
 from torch_geometric.loader import DataLoader
 
+from gns_pl.data.places import check_set
 from gns_pl.data.sampler import StepSampler
 from gns_pl.data.statistics import RunningStatistics, measure_motion
 from gns_pl.data.windows import WindowDataset
@@ -189,6 +190,16 @@ class TrajectoryDataModule(LightningDataModule):
             for name, seen in measured.items():
                 total[name].merge(seen)
         return total
+
+    def check_places(self, radius: float) -> None:
+        """Raise an `InputError` for particles outside their boxes, without neighbours, or too far from zero.
+
+        Args:
+            radius: connectivity radius of the model [m].
+        """
+        names = self.train_names, self.manifest.splits["valid"]
+        train, valid = ([self.directory / name for name in each] for each in names)
+        check_set(train, valid, radius=radius, spacing=self.manifest.spacing)
 
     def train_dataloader(self) -> DataLoader:
         """Return this process's share of the batches of all steps still to make."""

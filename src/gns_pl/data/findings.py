@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gns_pl.data.places import RADIUS
+
 SPEED_AT_REST = 0.01
 """What is slower than this counts as at rest [m/s]."""
 
 MOVING_SHARE = 0.01
 """A frame moves if more than this share of its particles does."""
 
-SPACINGS = (1.5, 2.0, 2.5, 3.0)
+SPACINGS = (1.5, RADIUS, 2.5, 3.0)
 """Radii in spacings for which neighbours are counted besides the one of the model."""
 
 IMPACT_SHARE = 0.01

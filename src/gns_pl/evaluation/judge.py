@@ -65,7 +65,11 @@ def judge_scene(
         checkpoint: the simulator.
         stabilise: arguments of `rollout.stabilise.stabilise`.
         given: frames of each start that are taken as they are.
+
+    Raises:
+        InputError: particles without a neighbour within the simulator's radius, or outside their box.
     """
+    from gns_pl.data.places import check_reach
     from gns_pl.rollout import rollout
     from gns_pl.rollout.failure import first_failure
     from gns_pl.rollout.familiarity import familiarity
@@ -74,6 +78,7 @@ def judge_scene(
 
     simulator = stabilised(checkpoint.simulator, **(stabilise or {}))
     truth, whole = reference.trajectory, reference.whole
+    check_reach(truth, checkpoint.simulator.config.connectivity_radius)
     steps = truth.num_frames - given
     rollout(simulator, truth, min(2, steps), given=given)  # what is compiled at first use is not timed
     with counting(f"{name}: learned rollout", truth.dt) as on_step:

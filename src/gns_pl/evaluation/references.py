@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gns_pl.checkpoint import Checkpoint
+from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
 from gns_pl.evaluation.measures import particle_spacing, sinkhorn_distance
 from gns_pl.evaluation.metrics import Measured, profile_l1, summarise
@@ -137,7 +138,7 @@ def stored_references(
         seed: of the first of them.
 
     Raises:
-        InputError: an unknown split, or data that are not there.
+        InputError: an unknown split, data that are not there, or particles outside their boxes.
     """
     data: Mapping[str, Any] = checkpoint.data
     folder, every = stored_folder(data), chosen_every(data)
@@ -148,6 +149,7 @@ def stored_references(
     references = {}
     for name in manifest.splits[split]:
         stored = read_trajectory(folder / name).every(stride)
+        check_frames(str(folder / name), stored.position, stored.particle_type, stored.scene, manifest.spacing)
         seeds = range(seed, seed + placements if "mpm" in data else seed)
         starts = tuple(start_of(stored.scene, checkpoint, number, {}) for number in seeds)
         references[Path(name).stem] = Reference(stored, Measured(stored), every == 1, starts)

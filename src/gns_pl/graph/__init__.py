@@ -3,6 +3,7 @@
 Plain tensors in, plain tensors out; no learned parameter and no file lives here.
 """
 
+from gns_pl.graph.context import context_bytes
 from gns_pl.graph.draws import Draws
 from gns_pl.graph.features import Static, edge_features, edge_width, node_features, node_width
 from gns_pl.graph.neighbours import BACKENDS, NUMBA, radius_graph
@@ -18,6 +19,7 @@ __all__ = [
     "Seen",
     "Static",
     "coherent_noise",
+    "context_bytes",
     "edge_features",
     "edge_width",
     "node_features",

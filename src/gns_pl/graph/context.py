@@ -11,22 +11,37 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from gns_pl.errors import InputError
+
+DENSE_NODES = 2**20
+"""A box of at most so many nodes has an array of all of them; of a larger one only the nodes at particles are kept."""
+
+
+DENSE_BYTES, SPARSE_BYTES = {2: 88, 3: 112}, {2: 330, 3: 400}
+"""D → bytes for every node of a box; and, of larger boxes, for every node of every particle."""
 
 
 @dataclass(frozen=True)
 class ContextGrid:
     """The grid that material is spread to; all boxes of a batch have as many nodes as the largest needs.
 
+    Memory for every node of a box is taken only where these are few. In a field of 100 m with cells of some centimetres
+    they would be thousands of millions, of which particles reach a few thousand; there the nodes that particles reach
+    are found by sorting, which gives the same numbers (up to the rounding of sums).
+
     Attributes:
         shape: nodes of every axis.
         lower: lower corner of every box [B, D] [m].
         cells: cells of every box [B, D].
         edge: of the cells of every box [B, D] [m].
-        room: part of every node's cell that lies in its box [columns of nodes, nodes of a column, 1] [m^D].
+        room: part of every node's cell that lies in its box [columns of nodes, nodes of a column, 1] [m^D]; None where
+            only the nodes at particles are kept.
         height: its extent along the last axis, alike [m].
     """
 
@@ -34,8 +49,8 @@ class ContextGrid:
     lower: Tensor
     cells: Tensor
     edge: Tensor
-    room: Tensor
-    height: Tensor
+    room: Tensor | None
+    height: Tensor | None
 
     @classmethod
     def of(cls, lower: Tensor, upper: Tensor, cell: float) -> ContextGrid:
@@ -45,11 +60,21 @@ class ContextGrid:
             lower: lower corner of every box [B, D] [m].
             upper: upper corner of every box [B, D] [m].
             cell: wanted edge of a grid cell [m]; each axis of each box takes the nearest size that divides it.
+
+        Raises:
+            InputError: so many cells that they cannot be numbered.
         """
         boxes, dim = lower.shape
         cells = ((upper - lower) / cell).round().clamp(min=1.0)
         edge = (upper - lower) / cells
-        shape = tuple(int(most) + 1 for most in cells.amax(dim=0))
+        shape = grid_shape(cells.amax(dim=0).tolist())
+        if math.prod(shape) > DENSE_NODES:
+            if boxes * math.prod(shape) > torch.iinfo(torch.int64).max:
+                raise InputError(
+                    f"a box of {(upper - lower).amax():.3g} m has too many cells of the radius, {cell:g} m; "
+                    "check the unit of length, or set a larger model.connectivity_radius."
+                )
+            return cls(shape, lower, cells, edge, None, None)
         room = torch.ones((), dtype=lower.dtype, device=lower.device)
         for axis in range(dim):
             node = torch.arange(shape[axis], device=lower.device)
@@ -60,6 +85,26 @@ class ContextGrid:
         flat = (boxes * math.prod(shape[:-1]), shape[-1], 1)
         room, height = (each.expand(boxes, *shape).reshape(flat) for each in (room, extent))
         return cls(shape, lower, cells, edge, room, height)
+
+
+def grid_shape(cells: Sequence[float]) -> tuple[int, ...]:
+    """Return the nodes of every axis of a grid with so many cells."""
+    return tuple(int(each) + 1 for each in cells)
+
+
+def context_bytes(nodes: int, boxes: int, num_particles: int, dim: int) -> int:
+    """Return the most bytes that `context_fields` holds at once in float32, and the grid itself.
+
+    Args:
+        nodes: of a box.
+        boxes: B.
+        num_particles: N, of all boxes.
+        dim: D.
+    """
+    corners = (1 << dim) * num_particles * (8 + 4 * (2 + dim) + 8 * (dim + 3))
+    if nodes <= DENSE_NODES:
+        return corners + DENSE_BYTES[dim] * boxes * nodes
+    return corners + SPARSE_BYTES[dim] * (1 << dim) * num_particles
 
 
 def context_fields(
@@ -92,7 +137,7 @@ def context_fields(
     own = 0 if boxes == 1 else batch  # of one box its row alone is taken, not N copies of it
     lower, edge, cells = grid.lower[own], grid.edge[own], grid.cells[own]
     place = torch.minimum(((position - lower) / edge).clamp(min=0.0), cells - 1e-3)
-    base = place.floor()
+    base = torch.minimum(place.floor(), cells - 1)  # of many thousand cells 1e-3 is less than a float32 can tell
     fraction = place - base
     parts = ((1 - fraction).unbind(1), fraction.unbind(1))
     stride = [math.prod(grid.shape[axis + 1 :]) for axis in range(dim)]
@@ -105,17 +150,74 @@ def context_fields(
         corners.append(first + sum(side * step for side, step in zip(corner, stride, strict=True)))
     corner_index, weight = torch.cat(corners), torch.stack(weights)[:, :, None]
     carried = volume[:, None] * torch.cat([torch.ones_like(velocity[:, :1]), velocity], dim=1)
-    layers = grid.room.shape[:2]
-    filled = torch.zeros(layers[0] * layers[1], 1 + dim, dtype=position.dtype, device=position.device)
-    filled = filled.index_add(0, corner_index, (weight * carried).flatten(0, 1)).view(*layers, 1 + dim)
-    dense = filled / grid.room
-    layer = dense * grid.height
-    below = layer.cumsum(1) - 0.5 * layer
-    below[:, 0] = 0.0
-    above = layer.sum(dim=1, keepdim=True) - below
-    nodal = torch.cat([above, below[..., :1], dense[..., :1]], dim=2).flatten(0, 1)
+    spread = (weight * carried).flatten(0, 1)
+    if grid.room is None or grid.height is None:
+        nodal, corner_index = _sparse_sums(grid, spread, corner_index)
+    else:
+        nodal = _dense_sums(grid.room, grid.height, spread, corner_index)
     # index_select, as the gradient of plain indexing is slow on a CPU.
     gathered = nodal.index_select(0, corner_index).view(len(weight), number, dim + 3)
     values = (gathered * weight).sum(dim=0)
     empty = place[:, -1] * edge[..., -1] - values[:, -2]
     return values[:, 0], values[:, 1:-2], empty, values[:, -1]
+
+
+def _dense_sums(room: Tensor, height: Tensor, spread: Tensor, corner_index: Tensor) -> Tensor:
+    """Return thickness and momentum above, thickness below and solid fraction of every node of all boxes [G, D + 3].
+
+    Args:
+        room: of a `ContextGrid`.
+        height: of a `ContextGrid`.
+        spread: volume and its momentum that particles give to their nodes [M, 1 + D] [m^D].
+        corner_index: the node [M].
+    """
+    layers, width = room.shape[:2], spread.shape[1]
+    filled = torch.zeros(layers[0] * layers[1], width, dtype=spread.dtype, device=spread.device)
+    filled = filled.index_add(0, corner_index, spread).view(*layers, width)
+    dense = filled / room
+    layer = dense * height
+    below = layer.cumsum(1) - 0.5 * layer
+    below[:, 0] = 0.0
+    above = layer.sum(dim=1, keepdim=True) - below
+    return torch.cat([above, below[..., :1], dense[..., :1]], dim=2).flatten(0, 1)
+
+
+def _sparse_sums(grid: ContextGrid, spread: Tensor, corner_index: Tensor) -> tuple[Tensor, Tensor]:
+    """Return what `_dense_sums` does, of the nodes that particles reach alone, and the rows of these in the result [M].
+
+    The nodes are sorted, so that those of a column stand together, the lowest first. Their number is not read back from
+    the device: arrays have a row for every part that is spread, of which the last ones stay empty.
+
+    Args:
+        grid: whose nodes are too many for an array of all.
+        spread: as of `_dense_sums`.
+        corner_index: as of `_dense_sums`.
+    """
+    number = len(corner_index)
+    ordered, order = torch.sort(corner_index, stable=True)
+    begins = torch.cat([ordered.new_ones(1, dtype=torch.bool), ordered[1:] != ordered[:-1]])
+    row = torch.empty_like(order).index_copy(0, order, begins.cumsum(0) - 1)
+    node = torch.zeros_like(ordered).index_copy(0, row, corner_index)
+    used = torch.arange(number, device=row.device) <= row.amax()
+    place, rest = [], node
+    for length in reversed(grid.shape):
+        place.append(rest % length)
+        rest = rest // length
+    box, index = rest, torch.stack(place[::-1], dim=1)
+    face = (index == 0) | (index == grid.cells[box])  # half of a node's cell lies outside
+    extent = grid.edge[box] * torch.where(face, 0.5, 1.0).to(spread.dtype)
+    filled = torch.zeros_like(spread).index_add(0, row, spread)
+    dense = filled / extent.prod(dim=1, keepdim=True)
+    layer = dense * extent[:, -1:]
+    # One running sum over all columns; in float64, as what came before a column is taken off again.
+    total = layer.double().cumsum(0)
+    column = torch.where(used, node // grid.shape[-1], -1)
+    opens = torch.cat([used.new_ones(1), column[1:] != column[:-1]])
+    first = torch.where(opens, torch.arange(number, device=row.device), 0).cummax(0).values
+    closes = torch.cat([opens[1:], used.new_ones(1)])
+    last = torch.where(closes, torch.arange(number, device=row.device), number - 1).flip(0).cummin(0).values.flip(0)
+    before = total.index_select(0, first) - layer.index_select(0, first).double()
+    below = total - before - 0.5 * layer
+    below = torch.where(index[:, -1:] == 0, 0.0, below)
+    above = total.index_select(0, last) - before - below
+    return torch.cat([above, below[:, :1], dense[:, :1]], dim=1).to(spread.dtype), row

@@ -20,6 +20,7 @@ from gns_pl.errors import InputError
 from gns_pl.fields import FIELDS, POSITION
 from gns_pl.io import schema
 from gns_pl.io.atomic import write_atomically
+from gns_pl.io.regular import regular_size
 from gns_pl.scene import Scene, scene_from_dict
 from gns_pl.trajectory import Trajectory
 
@@ -234,6 +235,7 @@ def read_window(source: str | Path | h5py.File, start: int, length: int) -> NDAr
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     with _named(path):
+        regular_size(path)
         file = h5py.File(path, "r", locking=False, swmr=path.name.endswith(GROWING))
     with file:
         yield file

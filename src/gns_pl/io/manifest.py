@@ -12,6 +12,7 @@ from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.io.atomic import write_atomically
+from gns_pl.io.regular import regular_size
 
 MANIFEST_NAME = "manifest.json"
 """Name of the manifest in the folder of a data set."""
@@ -96,6 +97,7 @@ def read_manifest(directory: str | Path) -> Manifest:
     """
     path = Path(directory) / MANIFEST_NAME
     try:
+        regular_size(path)
         data = json.loads(path.read_text(encoding="utf-8"))
         version = data["format_version"]
         if version > MANIFEST_VERSION:

@@ -174,6 +174,9 @@ stand at every data set as the attribute `unit` in H5MD's spelling (`m s-1`). Gr
 |---|---|---|---|---|
 {rows}
 
+- Where the scene has an `origin` [D] [m], positions and box are less that: coordinates on the map are
+  `position + origin`, to be added in float64. Without one it is zero. Exports for display add it (VTK, ParaView); those
+  for training, which are float32, keep it in `metadata.json` under the same name.
 - Velocities are not stored: they are the backward differences of the positions, with `initial_velocity` in frame 0.
 - Positions are cut into chunks of whole frames and not compressed: a window of a few frames is one short read.
 - Every chunk of every array has a checksum (fletcher32), and every number is finite.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import gns_pl
 from gns_pl.errors import InputError
+from gns_pl.machine import free_memory
 from gns_pl.mpm.config import TRANSFERS, MPMConfig
 from gns_pl.scene import FACES, Particles, Scene
 
@@ -69,6 +70,18 @@ def make_grid(scene: Scene, cell_size: float) -> Grid:
         lower=(lower[0], lower[1], lower[2]),
         axes=axes,
     )
+
+
+def check_grid_memory(scene: Scene, grid: Grid, config: MPMConfig) -> None:
+    """Raise an `InputError` where the grid, which spans the whole box, needs more memory than is free."""
+    needed = math.prod(grid.nodes) * (8 + 3 + len(scene.obstacles)) * np.dtype(config.precision).itemsize
+    free = free_memory()
+    if needed > free:
+        cells = " x ".join(f"{grid.cells[axis]:,}" for axis in grid.axes)
+        raise InputError(
+            f"mpm: scene {scene.name!r} has a grid of {cells} cells of {config.cell_size:g} m, which needs "
+            f"{needed / 1e9:.3g} GB, and {free / 1e9:.3g} GB are free; take larger cells or a smaller box."
+        )
 
 
 def largest_speed(scene: Scene, particles: Particles) -> float:
@@ -146,9 +159,10 @@ def make_plan(scene: Scene, particles: Particles, config: MPMConfig, frame_inter
     """Choose grid and time step of a run.
 
     Raises:
-        InputError: cells that do not fit the box.
+        InputError: cells that do not fit the box, or a grid that does not fit into memory.
     """
     grid = make_grid(scene, config.cell_size)
+    check_grid_memory(scene, grid, config)
     speed = largest_speed(scene, particles)
     steps = num_steps_per_frame(scene, config, grid, speed, frame_interval)
     num_frames = round(scene.duration / frame_interval) + 1

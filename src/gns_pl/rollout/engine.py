@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
 from gns_pl.machine import machine_name
@@ -90,6 +91,7 @@ def check_run(run: Run, config: SimulatorConfig) -> None:
             f"this simulator needs the material features {list(config.material_features)}, "
             f"not {list(start.material_features)}."
         )
+    check_frames(f"scene {start.scene.name!r}", start.position[:1], start.particle_type, start.scene, start.spacing)
     unknown = sorted(set(np.unique(start.particle_type).tolist()) - set(config.particle_types))
     if unknown:
         raise InputError(f"particle types {unknown} were not in the simulator's data.")

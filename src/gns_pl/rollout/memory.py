@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import math
 
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.graph import radius_graph
+from gns_pl.graph import context_bytes, radius_graph
+from gns_pl.machine import free_memory
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.simulator import Simulator, SimulatorConfig
 
@@ -15,7 +16,16 @@ ROOM = 1.2
 """More edges than at the start: a heap is denser than a body at rest before it falls."""
 
 
-def estimate_bytes(config: SimulatorConfig, num_particles: int, num_edges: int, *, in_blocks: bool) -> int:
+def estimate_bytes(
+    config: SimulatorConfig,
+    num_particles: int,
+    num_edges: int,
+    *,
+    in_blocks: bool,
+    nodes: int = 0,
+    boxes: int = 1,
+    share: float = 1.0,
+) -> int:
     """Return the most bytes that a step of the simulator holds at once, the history included.
 
     Args:
@@ -24,10 +34,13 @@ def estimate_bytes(config: SimulatorConfig, num_particles: int, num_edges: int, 
         num_edges: E.
         in_blocks: on the CPU in float32, where messages go through `nn.blocks`; else every layer keeps E × L numbers
             several times.
+        nodes: of the context's grid over one box, where the simulator has a context.
+        boxes: scenes that are stepped together.
+        share: of edges and states that this memory holds; the context's grid is in every process.
     """
     dim, width = config.dim, config.latent_size
     node = 4 * num_particles * (config.input_sequence_length * dim * 3 + 12)
-    corners = 2**dim * num_particles * (8 + 4 * (2 + dim) + 8 * (dim + 3)) if config.context else 0
+    context = context_bytes(nodes, boxes, num_particles, dim) if config.context else 0
     features = num_edges * (16 + 4 * (dim + 1))
     making_features = features + 4 * num_edges * (3 * dim + 1)
     layers = config.num_message_passing_steps
@@ -35,7 +48,8 @@ def estimate_bytes(config: SimulatorConfig, num_particles: int, num_edges: int, 
         states = 4 * width * (num_edges * (layers > 1) + 4 * num_particles)
     else:
         states = 4 * width * (6 * num_edges + 8 * num_particles)
-    return node + max(corners + num_edges * 16, making_features, features + states)
+    searched = context + share * num_edges * 16
+    return int(max(node + searched, share * (node + max(making_features, features + states))))
 
 
 def check_memory(simulator: Simulator, runs: list[Run], share: float = 1.0) -> str:
@@ -55,12 +69,12 @@ def check_memory(simulator: Simulator, runs: list[Run], share: float = 1.0) -> s
     radius, graphs = config.connectivity_radius, static.num_graphs
     edges = radius_graph(position, radius, static.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
     blocks = device.type == "cpu" and config.output != "pairs"
-    needed = estimate_bytes(config, len(position), int(ROOM * edges), in_blocks=blocks)
-    needed = int(share * needed)
+    nodes = math.prod(static.grid(radius).shape) if config.context else 0
+    needed = estimate_bytes(
+        config, len(position), int(ROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share
+    )
     free = _free_bytes(device)
     said = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"
-    if free is None:
-        return said
     if needed > free:
         raise InputError(
             f"{said}, but {free / 1e9:.3g} GB are free on {device}; take fewer scenes at once, a coarser simulator, or "
@@ -69,11 +83,5 @@ def check_memory(simulator: Simulator, runs: list[Run], share: float = 1.0) -> s
     return f"{said} of {free / 1e9:.3g} GB free"
 
 
-def _free_bytes(device: torch.device) -> int | None:
-    if device.type == "cuda":
-        return int(torch.cuda.mem_get_info(device)[0])
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return None  # not Linux
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable")), None)
+def _free_bytes(device: torch.device) -> int:
+    return int(torch.cuda.mem_get_info(device)[0]) if device.type == "cuda" else free_memory()

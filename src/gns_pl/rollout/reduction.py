@@ -152,6 +152,7 @@ def to_plane(scene: Scene, axis: int = 1) -> Reduction:
     flat = scene.replace(
         lower=drop(scene.lower),
         upper=drop(scene.upper),
+        origin=drop(scene.origin),
         gravity=drop(scene.gravity),
         bodies=tuple(
             Body(drop(each.position), drop(each.size), drop(each.velocity), each.material) for each in scene.bodies

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import gns_pl
 from gns_pl.checkpoint import load_checkpoint, move
+from gns_pl.data.places import check_reach
 from gns_pl.errors import InputError
 from gns_pl.frame_simulator import cold_start
 from gns_pl.io import file_sha256, read_window
@@ -220,6 +221,7 @@ def simulate(
         ]
         for job in jobs:
             check_run(job.run, simulator.config)
+            check_reach(job.run.start, simulator.config.connectivity_radius)
         left = [job for job in jobs if job.run.num_steps or job.source != job.path]
         meet()  # all have seen the files as they were
         rest = Rest(rest_speed) if rest_speed else None

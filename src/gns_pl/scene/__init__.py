@@ -16,6 +16,7 @@ from gns_pl.scene.catalogue import (
 )
 from gns_pl.scene.definition import FACES, Body, Material, Scene
 from gns_pl.scene.filling import Particles, fill_scene
+from gns_pl.scene.origin import near_origin
 from gns_pl.scene.plain import part_from_dict, read_scene, scene_from_dict, write_scene
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "column_collapse",
     "cube_drop",
     "fill_scene",
+    "near_origin",
     "part_from_dict",
     "read_scene",
     "sample_block_release",

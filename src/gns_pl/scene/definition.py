@@ -123,6 +123,8 @@ class Scene:
         bodies: the bodies, none touching another's inside.
         walls: face ("x-", "x+", …, "z+") → `Wall`, every face of the box.
         obstacles: what stands fixed in the box. Bodies may reach into them and are then carved when they are filled.
+        origin: where this scene's zero lies in the coordinates it came from, as those of a map [D] [m]; zero if nothing
+            is said. No computation uses it; it is added where coordinates leave (`scene.origin`).
 
     Raises:
         InputError: anything inconsistent, in one sentence.
@@ -137,6 +139,7 @@ class Scene:
     bodies: tuple[Body, ...]
     walls: Mapping[str, Wall]
     obstacles: tuple[Obstacle, ...] = ()
+    origin: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name or {"/", "\\", "\0"} & set(self.name):
@@ -148,6 +151,7 @@ class Scene:
             raise InputError(f"{owner}: a domain has 2 or 3 dimensions, not {dim}.")
         object.__setattr__(self, "upper", checked_numbers(owner, "upper", self.upper, dim))
         object.__setattr__(self, "gravity", checked_numbers(owner, "gravity", self.gravity, dim))
+        object.__setattr__(self, "origin", checked_numbers(owner, "origin", self.origin or (0.0,) * dim, dim))
         object.__setattr__(self, "duration", checked_number(owner, "duration", self.duration, 0.0, above=True))
         object.__setattr__(self, "bodies", tuple(self.bodies))
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
@@ -207,10 +211,15 @@ class Scene:
         return dataclasses.replace(self, **changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scene as plain dicts, lists, numbers and strings; `scene_from_dict` is its inverse."""
+        """Return the scene as plain dicts, lists, numbers and strings; `scene_from_dict` is its inverse.
+
+        An origin of zero is left out, so that files of scenes without one are as they always were.
+        """
         listed: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
         for obstacle, entry in zip(self.obstacles, listed["obstacles"], strict=True):
             entry["kind"] = obstacle.kind
+        if not any(self.origin):
+            del listed["origin"]
         return listed
 
 

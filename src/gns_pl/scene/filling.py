@@ -11,6 +11,7 @@ from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.scene.boundaries import signed_distance
 from gns_pl.scene.definition import Scene
+from gns_pl.scene.origin import check_coarseness
 
 MAX_PARTICLES = 20_000_000
 """More than this is taken for a mistyped spacing."""
@@ -60,7 +61,7 @@ def fill_scene(
 
     Raises:
         InputError: a spacing that is not positive, a jitter outside [0, 1), more than `MAX_PARTICLES` particles, or a
-            body of which the obstacles leave nothing.
+            body of which the obstacles leave nothing, or a box so far from zero that float32 cannot hold its particles.
     """
     if not spacing > 0 or not np.isfinite(spacing):
         raise InputError(f"the particle spacing must be positive, not {spacing}.")
@@ -68,6 +69,8 @@ def fill_scene(
         raise InputError(f"the jitter must lie in [0, 1), not {jitter}.")
     if jitter and generator is None:
         raise InputError("a jitter needs a random generator.")
+    extent = max(map(abs, (*scene.lower, *scene.upper)))
+    check_coarseness(f"scene {scene.name!r}", extent, spacing, "move it near zero: gns_pl.scene.near_origin(scene)")
     counts = [[max(1, round(size / spacing)) for size in body.size] for body in scene.bodies]
     total = sum(int(np.prod(count, dtype=np.float64)) for count in counts)
     if total > MAX_PARTICLES:

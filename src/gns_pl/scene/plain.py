@@ -14,6 +14,7 @@ from gns_pl.errors import InputError
 from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall
 from gns_pl.scene.changes import changed
 from gns_pl.scene.definition import Body, Material, Scene
+from gns_pl.scene.origin import near_origin
 from gns_pl.text import did_you_mean
 
 OBSTACLES: dict[str, type[Obstacle]] = {"plane": Plane, "box": Box}
@@ -73,7 +74,7 @@ def _obstacle(owner: str, data: Any) -> Obstacle:
 
 
 def read_scene(path: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
-    """Read a scene from a `.yaml`, `.yml` or `.json` file.
+    """Read a scene from a `.yaml`, `.yml` or `.json` file; one on a map is moved near zero (`Scene.origin`).
 
     Args:
         path: the file.
@@ -94,7 +95,7 @@ def read_scene(path: str | Path, changes: Mapping[str, Any] | None = None) -> Sc
     except (yaml.YAMLError, UnicodeDecodeError):
         raise InputError(f"{path}: is not YAML or JSON.") from None
     try:
-        return scene_from_dict(changed(data, changes or {}, "the scene"))
+        return near_origin(scene_from_dict(changed(data, changes or {}, "the scene")))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

@@ -197,6 +197,7 @@ def build_module(
         "material_features": choose_features(settings["model"]["material_features"], manifest.material_features),
     }
     model, elder = {**settings["model"], **of_data}, None
+    datamodule.check_places(model["connectivity_radius"])
     if training.distil_from is not None:
         elder = Elder.read(training.distil_from, training.distil_share, simulator_config(model))
     module = SimulatorModule(

@@ -1,7 +1,8 @@
 """Trajectories as ParaView series: one VTK file per frame, and a list of them with their times.
 
 Points in VTK's XML format are a short header and the bytes of the arrays, put together here: nothing needs to be
-installed to write them. Two-dimensional trajectories lie in the plane y = 0.
+installed to write them. Two-dimensional trajectories lie in the plane y = 0. Points are in the coordinates that the
+scene came from: its origin is added, in float64 where there is one.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from gns_pl.io.atomic import remove_temporary_files, write_atomically
 from gns_pl.trajectory import Trajectory
 from gns_pl.viz.stage import in_space
 
-Array = NDArray[np.float32] | NDArray[np.int32]
+Array = NDArray[np.float32] | NDArray[np.float64] | NDArray[np.int32]
 
 
 def write_paraview(
@@ -61,7 +62,7 @@ def write_paraview(
             path.unlink()
     for frame, file in files.items():
         arrays = _arrays(trajectory, frame, reference)
-        write_atomically(folder / file, _poly_data(in_space(trajectory.position[frame]), arrays))
+        write_atomically(folder / file, _poly_data(_points(trajectory, frame), arrays))
     entries = "".join(
         f'    <DataSet timestep="{frame * trajectory.dt:.10g}" part="0" file={quoteattr(file)}/>\n'
         for frame, file in files.items()
@@ -91,6 +92,17 @@ def _check(trajectory: Trajectory, name: str, reference: Trajectory | None, ever
         )
 
 
+def _points(trajectory: Trajectory, frame: int) -> Array:
+    """Return the positions of a frame with the scene's origin [N, 3] [m]."""
+    origin, points = np.array(trajectory.scene.origin), in_space(trajectory.position[frame])
+    if not origin.any():
+        return points
+    axes = (0, 2) if len(origin) == 2 else (0, 1, 2)
+    placed = points.astype(np.float64)
+    placed[:, axes] += origin
+    return placed
+
+
 def _arrays(trajectory: Trajectory, frame: int, reference: Trajectory | None) -> dict[str, Array]:
     """Return what the points of a frame carry, by name."""
     position = trajectory.position[frame].astype(np.float64)
@@ -110,7 +122,7 @@ def _arrays(trajectory: Trajectory, frame: int, reference: Trajectory | None) ->
     return arrays
 
 
-def _poly_data(points: NDArray[np.float32], arrays: Mapping[str, Array]) -> bytes:
+def _poly_data(points: Array, arrays: Mapping[str, Array]) -> bytes:
     """Return the content of a .vtp file: points [N, 3], a vertex each, and what they carry."""
     number = len(points)
     blocks: list[bytes] = []
@@ -121,7 +133,7 @@ def _poly_data(points: NDArray[np.float32], arrays: Mapping[str, Array]) -> byte
         nonlocal offset
         content = array.astype(array.dtype.newbyteorder("<")).tobytes()
         blocks.append(len(content).to_bytes(8, "little") + content)
-        kind = "Float32" if array.dtype.kind == "f" else "Int32"
+        kind = {"f4": "Float32", "f8": "Float64", "i4": "Int32"}[array.dtype.str[1:]]
         components = array.shape[1] if array.ndim == 2 else 1
         tag = (
             f'<DataArray type="{kind}" Name={quoteattr(name)} NumberOfComponents="{components}" '

@@ -193,11 +193,19 @@ def cb_geo_type() -> np.dtype[Any]:
 
 
 def write_cb_geo(
-    folder: Path, position: NDArray[np.float64], *, steps: int = 10, ranks: int = 1, lost: Sequence[int] = ()
+    folder: Path,
+    position: NDArray[np.float64],
+    *,
+    steps: int = 10,
+    ranks: int = 1,
+    lost: Sequence[int] = (),
+    late: Sequence[int] = (),
+    columns: Mapping[str, Any] | None = None,
 ) -> Path:
     """A run whose files hold frames [T, N, 3] `steps` solver steps apart, rows in an order of their own in each.
 
-    Particles whose ids are in `lost` are missing in the last file.
+    Particles whose ids are in `lost` are missing in the last file, those in `late` in the first one; `columns` are
+    values of the table, one or [N], in all files.
     """
     folder.mkdir(parents=True, exist_ok=True)
     generator = np.random.default_rng(1)
@@ -208,9 +216,11 @@ def write_cb_geo(
         for axis, name in enumerate("xyz"):
             rows[f"coord_{name}"] = places[:, axis]
             rows[f"displacement_{name}"] = 0.001 * (axis + 1) if frame == 0 else 7.0
+        for name, values in (columns or {}).items():
+            rows[name] = values
         rows = rows[generator.permutation(number)]
-        if frame == len(position) - 1:
-            rows = rows[~np.isin(rows["id"], lost)]
+        missing = [*(lost if frame == len(position) - 1 else ()), *(late if frame == 0 else ())]
+        rows = rows[~np.isin(rows["id"], missing)]
         for rank in range(ranks):
             middle = f"-{rank}_{ranks}-" if ranks > 1 else ""
             with h5py.File(folder / f"particles{middle}{frame * steps:05d}.h5", "w") as file:
@@ -218,19 +228,35 @@ def write_cb_geo(
     return folder
 
 
-def write_deck(folder: Path, *, dim: int = 3, dt: float = 0.001, steps: int = 10) -> Path:
-    corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+def write_deck(
+    folder: Path,
+    *,
+    dim: int = 3,
+    dt: float = 0.001,
+    steps: int = 10,
+    gravity: float = 9.81,
+    size: float = 1.0,
+    frictions: Mapping[int, float] | None = None,
+    name: str = "mpm.json",
+    uuid: str = "run",
+) -> Path:
+    """A deck with its mesh, a cube of one cell; `frictions` are material id → φ in degrees."""
+    folder.mkdir(parents=True, exist_ok=True)
+    corners = np.stack(np.meshgrid(*[[0.0, size]] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
     lines = ["# a cell", f"{len(corners)} 1", *(" ".join(map(str, corner)) for corner in corners)]
     lines.append(" ".join(map(str, range(len(corners)))))
     (folder / "mesh.txt").write_text("\n".join(lines) + "\n")
     deck = {
         "mesh": {"mesh": "mesh.txt"},
-        "analysis": {"dt": dt, "nsteps": 100},
+        "analysis": {"dt": dt, "nsteps": 100, "uuid": uuid},
         "post_processing": {"output_steps": steps},
-        "materials": [{"id": 0, "type": "MohrCoulomb3D", "density": 1800, "friction": 30}],
-        "external_loading_conditions": {"gravity": [0.0] * (dim - 1) + [-9.81]},
+        "materials": [
+            {"id": number, "type": "MohrCoulomb3D", "density": 1800, "friction": friction}
+            for number, friction in (frictions or {0: 30}).items()
+        ],
+        "external_loading_conditions": {"gravity": [0.0] * (dim - 1) + [-gravity]},
     }
-    path = folder / "mpm.json"
+    path = folder / name
     path.write_text(json.dumps(deck))
     return path
 

@@ -8,6 +8,6 @@ What is read was written by others: no code in it runs, and no size it claims is
 """
 
 from gns_pl.io.convert.detect import open_set
-from gns_pl.io.convert.source import ForeignSet, Recording, Stated
+from gns_pl.io.convert.source import UNCERTAIN_MATERIAL, ForeignSet, Recording, Stated
 
-__all__ = ["ForeignSet", "Recording", "Stated", "open_set"]
+__all__ = ["UNCERTAIN_MATERIAL", "ForeignSet", "Recording", "Stated", "open_set"]

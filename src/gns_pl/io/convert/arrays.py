@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.fields import ParticleType
+from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.io import SPLITS
 from gns_pl.io.convert.metadata import read_stated
 from gns_pl.io.convert.npy import map_numbers, members, open_member, read_numbers
 from gns_pl.io.convert.source import (
+    UNCERTAIN_MATERIAL,
     ForeignSet,
     Recording,
     checked_material,
@@ -31,7 +32,7 @@ from gns_pl.io.convert.source import (
 
 POSITIONS = ("position", "positions")
 TYPES = ("particle_type", "particle_types")
-MATERIALS = ("material", "material_property", "tan_friction_angle")
+MATERIALS = (*MATERIAL_FEATURES, "material", "material_property")
 
 
 def open_arrays(path: Path, files: Sequence[Path]) -> ForeignSet:
@@ -81,15 +82,18 @@ def _recording(arrays: dict[str, NDArray[Any]]) -> Recording:
     position, types, material = named(POSITIONS), named(TYPES), named(MATERIALS)
     if position is None or position.ndim != 3:
         shape = None if position is None else list(position.shape)
-        raise InputError(f"positions must be [T, N, D], not {shape}.")
+        one = "; a file is a trajectory: stack its frames in their order" if shape and len(shape) == 2 else ""
+        raise InputError(f"positions must be [T, N, D], not {shape}{one}.")
     number = position.shape[1]
+    sure = MATERIAL_FEATURES[0] in arrays  # a name that says what the values are
+    features = () if material is None else MATERIAL_FEATURES[:1] if sure else (UNCERTAIN_MATERIAL,)
     return Recording(
         num_frames=position.shape[0],
         particle_type=checked_types(np.array(int(ParticleType.SAND)) if types is None else types, number),
         read=lambda start, stop: position[start:stop],
         dim=position.shape[2],
         material=without_material(number) if material is None else checked_material(material, number),
-        material_features=() if material is None else ("tan_friction_angle",),
+        material_features=features,
         dtype=str(position.dtype),
         notes=() if types is not None else ("no particle types are stored; all particles are taken for sand, type 6",),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.metadata import MOST_BYTES, positive, read_json
-from gns_pl.io.convert.source import reading
+from gns_pl.io.convert.metadata import positive, read_json
+from gns_pl.io.convert.source import Stated, reading
+from gns_pl.io.regular import regular_size
 
 MOST_MESH_BYTES = 2_000_000_000
+
+
+@dataclass(frozen=True)
+class DeckMaterial:
+    """A material of a deck; None where the deck does not say.
+
+    Attributes:
+        kind: its model, "MohrCoulomb3D".
+        density: [kg/m³].
+        friction_angle_deg: [degrees].
+    """
+
+    kind: str = ""
+    density: float | None = None
+    friction_angle_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -27,8 +43,8 @@ class Deck:
         lower: lower corner of the mesh [D] [m].
         upper: upper corner of the mesh [D] [m].
         gravity: [D] [m/s²].
-        density: of the only material [kg/m³].
-        friction_angle_deg: of the only material [degrees].
+        materials: id → material.
+        path: of the deck; None where there is none.
         notes: sentences for the report.
     """
 
@@ -36,31 +52,35 @@ class Deck:
     lower: tuple[float, ...] | None = None
     upper: tuple[float, ...] | None = None
     gravity: tuple[float, ...] | None = None
-    density: float | None = None
-    friction_angle_deg: float | None = None
-    notes: tuple[str, ...] = ()
+    materials: Mapping[int, DeckMaterial] = field(default_factory=dict)
+    path: Path | None = field(default=None, compare=False)
+    notes: tuple[str, ...] = field(default=(), compare=False)
 
+    def shared(self, name: str) -> float | None:
+        """Return what all materials have in common, "density" or "friction_angle_deg"; None if it differs."""
+        values = {getattr(material, name) for material in self.materials.values()}
+        return values.pop() if len(values) == 1 else None
 
-def find_deck(folder: Path) -> Path | None:
-    """Return the only deck in a folder or, if it has none, in one of the three over it; None where there is none.
+    def stated(self, step: int | None, first: int) -> Stated:
+        """Return what the deck states of a run.
 
-    Raises:
-        InputError: several in one folder.
-    """
-    for place in [folder, *folder.absolute().parents[:3]]:
-        found = [path for path in sorted(place.glob("*.json")) if _is_deck(path)]
-        if len(found) > 1:
-            raise InputError(f"{place}: has {len(found)} decks; say which one: deck={found[0]}")
-        if found:
-            return found[0]
-    return None
-
-
-def _is_deck(path: Path) -> bool:
-    try:
-        return path.stat().st_size <= MOST_BYTES and {"analysis", "mesh"} <= set(read_json(path))
-    except (InputError, OSError):
-        return False
+        Args:
+            step: solver steps between saved ones; None where there is one saved step.
+            first: number of the first saved step.
+        """
+        dt, notes = None, list(self.notes)
+        if self.dt is not None and step is not None:
+            dt = step * self.dt
+            notes.append(f"the first frame is {(first + 1) * self.dt:g} s after the start of the run")
+        return Stated(
+            dt=dt,
+            lower=self.lower,
+            upper=self.upper,
+            gravity=self.gravity,
+            density=self.shared("density"),
+            friction_angle_deg=self.shared("friction_angle_deg"),
+            notes=tuple(notes),
+        )
 
 
 def read_deck(path: Path) -> Deck:
@@ -73,7 +93,7 @@ def read_deck(path: Path) -> Deck:
     with reading(path):
         notes = []
         mesh, lower, upper = _part(content, "mesh").get("mesh"), None, None
-        if isinstance(mesh, str) and (path.parent / mesh).is_file():
+        if isinstance(mesh, str) and mesh and (path.parent / mesh).exists():
             with reading(path.parent / mesh):
                 lower, upper = read_mesh_box(path.parent / mesh)
         else:
@@ -82,20 +102,33 @@ def read_deck(path: Path) -> Deck:
         gravity = _numbers(loads["gravity"]) if "gravity" in loads else None
         if gravity is not None and lower is not None and len(gravity) != len(lower):
             raise InputError(f"gravity has {len(gravity)} components, the mesh {len(lower)}.")
-        materials = content.get("materials", [])
-        material = materials[0] if isinstance(materials, list) and len(materials) == 1 else {}
-        if isinstance(materials, list) and len(materials) > 1:
-            notes.append(f"the deck has {len(materials)} materials, of which none is taken over")
-        friction = positive(material, "friction") if material.get("friction") else None
         return Deck(
             dt=positive(_part(content, "analysis"), "dt"),
             lower=lower,
             upper=upper,
             gravity=gravity,
-            density=positive(material, "density"),
-            friction_angle_deg=friction,
+            materials=_materials(content.get("materials", [])),
+            path=path,
             notes=tuple(notes),
         )
+
+
+def _materials(materials: Any) -> dict[int, DeckMaterial]:
+    if not isinstance(materials, list) or not all(isinstance(each, Mapping) for each in materials):
+        raise InputError("materials must be a list of materials.")
+    found: dict[int, DeckMaterial] = {}
+    for place, each in enumerate(materials):
+        number, friction = each.get("id", place), each.get("friction")
+        if isinstance(number, bool) or not isinstance(number, int) or number in found:
+            raise InputError(f"the id of a material must be a whole number of its own, not {number!r}.")
+        if friction is not None and (isinstance(friction, bool) or not 0 <= float(friction) < 90):
+            raise InputError(f"friction of material {number} must be degrees from 0 to below 90, not {friction!r}.")
+        found[number] = DeckMaterial(
+            kind=str(each.get("type", "")),
+            density=positive(each, "density"),
+            friction_angle_deg=None if friction is None else float(friction),
+        )
+    return found
 
 
 def _part(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -115,18 +148,18 @@ def _numbers(values: Any) -> tuple[float, ...]:
 def read_mesh_box(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the lower and upper corner of a mesh in CB-Geo's text form [m].
 
-    Lines that begin with # and empty ones do not count; then come the numbers of nodes and elements, the nodes'
-    coordinates a line each, and the elements.
+    Empty lines, comments behind # and lines with ! do not count; then come the numbers of nodes and elements, the
+    nodes' coordinates a line each, and the elements.
 
     Raises:
         InputError: another form; the caller names the file.
     """
-    if path.stat().st_size > MOST_MESH_BYTES:
+    if regular_size(path) > MOST_MESH_BYTES:
         raise InputError("is too large for a mesh.")
     lower: NDArray[np.float64] | None = None
     upper: NDArray[np.float64] | None = None
     with path.open(encoding="utf-8") as file:
-        lines = (line for line in (line.split("#")[0].strip() for line in file) if line)
+        lines = (line for line in (line.split("#")[0].strip() for line in file if "!" not in line) if line)
         number = int(next(lines, "0").split()[0])
         for count in range(number):
             node = np.array([float(word) for word in next(lines, "").split()])

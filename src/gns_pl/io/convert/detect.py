@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-
-import h5py
 
 from gns_pl.errors import InputError
 from gns_pl.io import MANIFEST_NAME
 from gns_pl.io.convert import cb_geo, geoelements, lagrangebench
 from gns_pl.io.convert.arrays import open_arrays
-from gns_pl.io.convert.groups import group_names
+from gns_pl.io.convert.cb_geo_runs import find_runs
+from gns_pl.io.convert.groups import group_names, open_hdf5
 from gns_pl.io.convert.learning_to_simulate import open_learning_to_simulate
 from gns_pl.io.convert.npy import members, open_member
 from gns_pl.io.convert.ours import open_ours
 from gns_pl.io.convert.source import ForeignSet, reading
 from gns_pl.io.convert.vtk import ENDINGS, open_vtk
+from gns_pl.io.regular import regular_size
 from gns_pl.io.schema import FORMAT_NAME
 
 MOST_FILES = 1_000_000
+KNOWN = (".tfrecord", ".pvd", *ENDINGS, ".h5", ".npz", ".npy")
+PACKED = (".gz", ".bz2", ".xz", ".zst", ".zip")
 
 
 def open_set(
@@ -30,7 +33,7 @@ def open_set(
     Args:
         source: file or folder.
         trust: read pickled arrays of geoelements/gns, without running anything that stands in them.
-        deck: JSON input of a CB-Geo MPM run; None looks for it.
+        deck: JSON input of CB-Geo MPM runs, or of a VTK series of one; None looks for those of runs.
         lost: what to do with particles that left CB-Geo's mesh: "refuse" the run, or "drop" them from all frames.
 
     Raises:
@@ -41,16 +44,18 @@ def open_set(
         raise InputError(f"{path}: there is no such file or folder.")
     if path.is_dir() and (path / MANIFEST_NAME).is_file():
         return open_ours(path)
-    folders = _runs(path)
+    folders = find_runs(path)
     if folders:
         return cb_geo.open_cb_geo(path, folders, deck=None if deck is None else Path(deck), lost=lost)
     files = _files(path)
-    for ending, known in ((".tfrecord", open_learning_to_simulate), (".pvd", open_vtk)):
-        if files.get(ending):
-            return known(path, files[ending])
-    frames = [file for ending in ENDINGS for file in files.get(ending, [])]
-    if frames:
-        return open_vtk(path, sorted(frames))
+    _check_packed(path, files)
+    frames = files.get(".pvd") or sorted(file for ending in ENDINGS for file in files.get(ending, []))
+    if frames and not files.get(".tfrecord"):
+        return open_vtk(path, frames, deck=None if deck is None else Path(deck))
+    if deck is not None:
+        raise InputError(f"{path}: holds no runs of CB-Geo MPM and no VTK series of one, to which deck= belongs.")
+    if files.get(".tfrecord"):
+        return open_learning_to_simulate(path, files[".tfrecord"])
     if files.get(".h5"):
         return _open_hdf5(path, files[".h5"])
     archives = files.get(".npz", [])
@@ -65,33 +70,47 @@ def open_set(
     )
 
 
-def _runs(path: Path) -> list[Path]:
-    """Return the folders of CB-Geo runs: a folder itself, or those in it."""
-    if not path.is_dir():
-        return []
-    if cb_geo.is_run(path):
-        return [path]
-    return [each for each in sorted(path.iterdir()) if each.is_dir() and cb_geo.is_run(each)]
-
-
 def _files(path: Path) -> dict[str, list[Path]]:
-    """Return ending → files of a folder, one level of folders in it among them, or a file alone."""
-    if path.is_file():
+    """Return ending → files of a folder, one level of folders in it among them, or a file alone.
+
+    Raises:
+        InputError: a file of a known ending that is none: a pipe, a device, a link to nothing.
+    """
+    if not path.is_dir():
+        with reading(path):
+            regular_size(path)
         return {path.suffix: [path]}
     found: dict[str, list[Path]] = {}
     for count, file in enumerate(sorted([*path.glob("*"), *path.glob("*/*")])):
         if count > MOST_FILES:
             raise InputError(f"{path}: has more than {MOST_FILES:,} files.")
-        if file.is_file() and not file.name.startswith("."):
-            found.setdefault(file.suffix, []).append(file)
+        if file.name.startswith(".") or file.is_dir():
+            continue
+        if file.suffix in KNOWN:
+            with reading(file):
+                regular_size(file)
+        found.setdefault(file.suffix, []).append(file)
     order = {"train": 0, "valid": 1, "test": 2}
     return {ending: sorted(files, key=lambda file: (order.get(file.stem, 3), file)) for ending, files in found.items()}
+
+
+def _check_packed(path: Path, files: Mapping[str, Sequence[Path]]) -> None:
+    """Refuse data that would be left out because it is packed and does not lie there unpacked as well.
+
+    Raises:
+        InputError: such a file.
+    """
+    for ending in PACKED:
+        for file in files.get(ending, ()):
+            plain = file.with_suffix("")
+            if plain.suffix in KNOWN and not plain.exists():
+                raise InputError(f"{path}: {file.name} is packed and would be left out; unpack it, or take it away.")
 
 
 def _open_hdf5(path: Path, files: list[Path]) -> ForeignSet:
     first = files[0]
     with reading(first):
-        with h5py.File(first, "r", locking=False) as file:
+        with open_hdf5(first) as file:
             own = file.attrs.get("format") == FORMAT_NAME
         if own and path.is_file():
             return open_ours(path)

@@ -24,6 +24,7 @@ from gns_pl.io.convert.metadata import read_stated
 from gns_pl.io.convert.npy import members, open_member, read_numbers
 from gns_pl.io.convert.pickled import plain, read_pickle, write_pickle
 from gns_pl.io.convert.source import (
+    UNCERTAIN_MATERIAL,
     ForeignSet,
     Recording,
     checked_material,
@@ -139,7 +140,7 @@ def _made(parts: Any) -> Iterator[Recording]:
         read=lambda start, stop: position[start:stop],
         dim=dim,
         material=checked_material(parts[2], number) if has_material else without_material(number),
-        material_features=("tan_friction_angle",) if has_material else (),
+        material_features=(UNCERTAIN_MATERIAL,) if has_material else (),
         dtype=str(position.dtype),
     )
 

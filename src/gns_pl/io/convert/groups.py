@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,8 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory
-from gns_pl.io.convert.source import Recording, checked_material, checked_types, without_material
+from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory, unpacked_gzip
+from gns_pl.io.convert.source import (
+    UNCERTAIN_MATERIAL,
+    Recording,
+    checked_material,
+    checked_types,
+    without_material,
+)
+from gns_pl.io.regular import regular_size
+
+
+@contextmanager
+def open_hdf5(path: Path) -> Iterator[h5py.File]:
+    """Yield a foreign HDF5 file, open for reading; one whose name ends in .gz is unpacked in memory.
+
+    Raises:
+        InputError: it is no regular file, or does not fit into memory unpacked.
+    """
+    regular_size(path)
+    packed = path.suffix == ".gz"
+    with h5py.File(io.BytesIO(unpacked_gzip(path)), "r") if packed else h5py.File(path, "r", locking=False) as file:
+        yield file
 
 
 def group_names(path: Path, dataset: str) -> list[str]:
@@ -23,7 +44,7 @@ def group_names(path: Path, dataset: str) -> list[str]:
         path: of the file.
         dataset: "position", "positions".
     """
-    with h5py.File(path, "r", locking=False) as file:
+    with open_hdf5(path) as file:
         return [name for name in file if _is_group(file, name) and dataset in file[name]]
 
 
@@ -72,7 +93,7 @@ def open_group(path: Path, name: str, *, position: str, material: str | None) ->
         position: name of its positions [T, N, D].
         material: name of its material values, if it has any.
     """
-    with h5py.File(path, "r", locking=False) as file:
+    with open_hdf5(path) as file:
         group = file[name]
         frames = own_data(group, position)
         if frames.ndim != 3:
@@ -88,6 +109,6 @@ def open_group(path: Path, name: str, *, position: str, material: str | None) ->
             material=checked_material(whole(group, str(material)), number)
             if has_material
             else without_material(number),
-            material_features=("tan_friction_angle",) if has_material else (),
+            material_features=(UNCERTAIN_MATERIAL,) if has_material else (),
             dtype=str(frames.dtype),
         )

@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
-import os
+import gzip
 from pathlib import Path
 
 from gns_pl.errors import InputError
+from gns_pl.io.regular import regular_size
+from gns_pl.machine import free_memory
 
 LARGEST_RATIO = 1100
 """Deflate, zlib and HDF5's gzip never shrink anything by more than 1032 times."""
+
+
+def unpacked_gzip(path: Path) -> bytes:
+    """Return what a .gz file unpacks to.
+
+    Raises:
+        InputError: it unpacks to more than is free in memory.
+    """
+    check_memory(3 * regular_size(path), "the file")
+    parts, size = [], 0
+    with gzip.open(path) as file:
+        while part := file.read(1 << 24):
+            parts.append(part)
+            size += len(part)
+            check_memory(2 * size, "the unpacked file")
+    return b"".join(parts)
 
 
 def check_claim(claimed: int, stored: int, what: str, *, ratio: int = 1) -> None:
@@ -34,12 +52,3 @@ def check_memory(needed: int, what: str) -> None:
             f"{what} needs {needed / 1e9:.3g} GB in memory at once and {free / 1e9:.3g} GB are free; split it, or take "
             "a larger machine."
         )
-
-
-def free_memory() -> int:
-    """Return the bytes that can still be used; all of the machine's where the system does not say more."""
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
-    except (OSError, StopIteration, ValueError):
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

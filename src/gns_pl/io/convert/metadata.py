@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.io.convert.source import Stated, reading
+from gns_pl.io.regular import read_bounded
 
 NAME = "metadata.json"
 PARTS = ("train", "rollout")
@@ -30,9 +31,7 @@ def read_json(path: Path) -> dict[str, Any]:
         InputError: no such file, too large for what it should be, or not an object; the file is named.
     """
     with reading(path):
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError(f"has {path.stat().st_size:,} bytes, too many for settings.")
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_bounded(path, MOST_BYTES, "settings"))
         if not isinstance(content, dict):
             raise InputError("must hold an object of names and values.")
         return content
@@ -49,7 +48,8 @@ def read_metadata(folder: Path, part: str = "train") -> dict[str, Any]:
         InputError: a file that is there and cannot be used.
     """
     path = folder / NAME
-    return part_of(read_json(path), part) if path.exists() else {}
+    there = path.exists() or path.is_symlink()  # a link to nothing is told
+    return part_of(read_json(path), part) if there else {}
 
 
 def part_of(content: Mapping[str, Any], part: str) -> dict[str, Any]:
@@ -98,6 +98,7 @@ def stated_of(metadata: Mapping[str, Any], path: Path) -> Stated:
             spacing=positive(metadata, "dx"),
             radius=positive(metadata, "default_connectivity_radius"),
             periodic=tuple(bool(axis) for axis in periodic),
+            origin=_origin(metadata, lower),
             metadata=dict(metadata),
         )
 
@@ -113,6 +114,14 @@ def _bounds(metadata: Mapping[str, Any]) -> tuple[tuple[float, ...] | None, tupl
     if not np.isfinite(bounds).all() or not (bounds[:, 0] < bounds[:, 1]).all():
         raise InputError("bounds must be finite, the lower one below the upper.")
     return tuple(bounds[:, 0].tolist()), tuple(bounds[:, 1].tolist())
+
+
+def _origin(metadata: Mapping[str, Any], lower: tuple[float, ...] | None) -> tuple[float, ...]:
+    """Return what our own export says was taken off all positions [D]; empty if it says nothing."""
+    origin = np.asarray(metadata.get("origin", ()), dtype=np.float64)
+    if origin.ndim != 1 or not np.isfinite(origin).all() or (len(origin) and lower and len(origin) != len(lower)):
+        raise InputError("origin must be a finite number for each axis.")
+    return tuple(origin.tolist())
 
 
 def positive(metadata: Mapping[str, Any], key: str) -> float | None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory
 from gns_pl.io.convert.pickled import checked_shape
+from gns_pl.io.regular import regular_size
 
 MAGIC = b"\x93NUMPY"
 MOST_HEADER = 10_000
@@ -109,6 +110,7 @@ def open_member(archive: zipfile.ZipFile, name: str) -> Iterator[tuple[IO[bytes]
 
 def members(path: Path) -> dict[str, str]:
     """Return the name of every array of an .npz → that of its member."""
+    regular_size(path)
     with zipfile.ZipFile(path) as archive:
         return {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
 
@@ -119,6 +121,7 @@ def map_numbers(path: Path) -> NDArray[Any]:
     Raises:
         InputError: it holds objects, or less than it claims.
     """
+    size = regular_size(path)
     with path.open("rb") as file:
         header = read_array_header(file)
         offset = file.tell()
@@ -127,7 +130,7 @@ def map_numbers(path: Path) -> NDArray[Any]:
             "holds pickled Python objects, and to open these runs whatever code stands in them; save the positions as "
             "plain numbers [T, N, D]."
         )
-    check_claim(header.num_bytes, path.stat().st_size - offset, "its header")
+    check_claim(header.num_bytes, size - offset, "its header")
     order: Any = "F" if header.fortran else "C"
     if header.num_bytes == 0:
         raise InputError("is empty.")

@@ -52,6 +52,7 @@ def _stated(header: TrajectoryHeader) -> Stated:
         lower=scene.lower,
         upper=scene.upper,
         gravity=scene.gravity,
+        origin=scene.origin,
         density=material.density,
         friction_angle_deg=material.friction_angle_deg,
     )

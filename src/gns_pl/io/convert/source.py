@@ -18,6 +18,8 @@ from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.scene import Scene
 
+UNCERTAIN_MATERIAL = "material_property"
+"""Name of a material feature of which the source does not say whether it is tan φ, φ or a share of it."""
 MOST_TYPES = 1000
 """Numbers of particle types beyond ± this are taken for damage."""
 
@@ -36,7 +38,9 @@ class Stated:
         friction_angle_deg: of the material [degrees].
         radius: connectivity radius its models use.
         periodic: whether each axis is periodic [D]; empty if nothing is said.
+        origin: what an earlier conversion took off all positions, to be added on a map [D]; empty for nothing.
         metadata: the file beside the data, as it is: metadata.json, or a manifest of ours.
+        questions: name of an argument → sentence that asks for it where it is not given.
         notes: sentences for the report.
     """
 
@@ -49,7 +53,9 @@ class Stated:
     friction_angle_deg: float | None = None
     radius: float | None = None
     periodic: tuple[bool, ...] = ()
+    origin: tuple[float, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    questions: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 

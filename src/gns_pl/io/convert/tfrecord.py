@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.io.convert.limits import check_memory
+from gns_pl.io.regular import regular_size
 from gns_pl.machine import compile_function
 
 _POLYNOMIAL = 0x82F63B78  # 1EDC6F41 with its bits reversed
@@ -60,7 +61,7 @@ def record_places(path: Path) -> list[tuple[int, int]]:
     Raises:
         InputError: no TFRecord file, or one that is cut off.
     """
-    size, offset = path.stat().st_size, 0
+    size, offset = regular_size(path), 0
     places: list[tuple[int, int]] = []
     with path.open("rb") as file:
         while offset < size:

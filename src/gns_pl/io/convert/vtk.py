@@ -1,16 +1,15 @@
 """Series of VTK's XML files: a .pvd list of frames with their times, or files whose names end in numbers.
 
-Points are the particles, the same and in the same order in every file. What they carry is taken over where it has the
-name of a field of ours: particle_type, mass, tan_friction_angle, and the velocity of the first frame. Files in which
-one axis is zero throughout are of two dimensions.
+Points are the particles: in the same order in every file, or told apart by an array `id`. What they carry is taken
+over where it has the name of a field of ours: particle_type, mass, tan_friction_angle, and the velocity of the first
+frame. Files in which one axis is zero throughout are of two dimensions.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.fields import INITIAL_VELOCITY, MASS, MATERIAL_FEATURES, PARTICLE_TYPE, ParticleType
-from gns_pl.io.convert.arrays import split_of
+from gns_pl.io.convert.deck import read_deck
 from gns_pl.io.convert.source import (
     ForeignSet,
     Recording,
@@ -29,92 +28,51 @@ from gns_pl.io.convert.source import (
     reading,
     without_material,
 )
-from gns_pl.io.convert.vtk_xml import parse_xml, read_points
+from gns_pl.io.convert.vtk_series import Series, find_series, read_frame
 
 ENDINGS = (".vtp", ".vtu")
-_NUMBERED = re.compile(r"(?P<stem>.*?)[_.-]?(?P<number>\d+)")
-MOST_LIST_BYTES = 50_000_000
+IDS = ("id", "ids", "particle_id", "GlobalPointIds")
+DISPLACEMENTS = ("displacements", "displacement")
+"""What tells particles apart where several ranks write them, best first."""
+
+Carried = dict[str, NDArray[Any]]
+Order = Callable[[NDArray[Any], Carried], NDArray[np.int64]]
+"""Points of a frame and what they carry → [N] place in the frame of each particle."""
 
 
-@dataclass(frozen=True)
-class Series:
-    """The files of a trajectory.
-
-    Attributes:
-        name: for messages.
-        split: "train", "valid", "test" or "".
-        files: one a frame.
-        dt: time between frames [s]; None if nothing says.
-    """
-
-    name: str
-    split: str
-    files: tuple[Path, ...]
-    dt: float | None
-
-
-def open_vtk(path: Path, files: Sequence[Path]) -> ForeignSet:
+def open_vtk(path: Path, files: Sequence[Path], *, deck: Path | None = None) -> ForeignSet:
     """Return a set of series.
 
     Args:
         path: folder or file, as the user named it.
         files: .pvd lists; or, where there is none, the files of frames.
+        deck: JSON input of CB-Geo MPM, where it wrote the series: numbers are then its solver steps.
 
     Raises:
-        InputError: lists that cannot be used.
+        InputError: lists or a deck that cannot be used, or frames that are missing.
     """
-    folder = path if path.is_dir() else path.parent
-    lists = [file for file in files if file.suffix == ".pvd"]
-    series = [_read_list(file, folder) for file in lists] if lists else _numbered(files, folder)
-    intervals = {each.dt for each in series}
-    if len(intervals) > 1 and max(filter(None, intervals)) > min(filter(None, intervals)) * (1 + 1e-6):
-        raise InputError(f"{path}: its series have different intervals between frames; convert them one by one.")
+    series, notes = find_series(files, path if path.is_dir() else path.parent)
+    kind, stated = "VTK series", Stated(dt=next((each.dt for each in series if each.dt is not None), None))
+    if deck is not None:
+        step = next((each.numbers[1] - each.numbers[0] for each in series if len(each.numbers) > 1), None)
+        by_deck = read_deck(deck).stated(step, series[0].numbers[0])
+        kind, stated = "CB-Geo MPM", by_deck if stated.dt is None else replace(by_deck, dt=stated.dt)
 
     def opener(number: int) -> AbstractContextManager[Recording]:
-        return _open(series[number])
+        return _open(series[number], stated.friction_angle_deg)
 
-    stated = Stated(dt=series[0].dt if series else None)
-    return ForeignSet("VTK series", path, tuple((each.split, each.name) for each in series), opener, stated)
-
-
-def _read_list(file: Path, folder: Path) -> Series:
-    with reading(file):
-        if file.stat().st_size > MOST_LIST_BYTES:
-            raise InputError("is too large for a list of files.")
-        frames = []
-        for entry in parse_xml(file.read_bytes()).iter("DataSet"):
-            name = entry.get("file", "")
-            if not name or Path(name).is_absolute() or ".." in Path(name).parts:
-                raise InputError(f"lists {name!r}, which is not a file beside or below it.")
-            frames.append((float(entry.get("timestep", "nan")), file.parent / name))
-        times = np.array([time for time, _ in frames])
-        dt = None
-        if len(times) > 1 and np.isfinite(times).all():
-            steps = np.diff(times)
-            dt = float(np.median(steps))
-            if not dt > 0 or np.abs(steps - dt).max() > 1e-4 * dt:
-                raise InputError("its frames do not follow evenly in time, and a trajectory has one time step.")
-            dt = float(f"{(times[-1] - times[0]) / (len(times) - 1):.9g}")
-        return Series(file.stem, split_of(file, folder), tuple(path for _, path in frames), dt)
-
-
-def _numbered(files: Sequence[Path], folder: Path) -> list[Series]:
-    found: dict[tuple[Path, str], list[tuple[int, Path]]] = {}
-    for file in files:
-        match = _NUMBERED.fullmatch(file.stem)
-        stem, number = (match["stem"], int(match["number"])) if match else (file.stem, 0)
-        found.setdefault((file.parent, stem), []).append((number, file))
-    series = []
-    for (parent, stem), frames in sorted(found.items()):
-        order = tuple(file for _, file in sorted(frames))
-        series.append(Series(stem or parent.name, split_of(frames[0][1], folder), order, None))
-    return series
+    names = tuple((each.split, each.name) for each in series)
+    return ForeignSet(kind, path, names, opener, replace(stated, notes=(*notes, *stated.notes)))
 
 
 @contextmanager
-def _open(series: Series) -> Iterator[Recording]:
-    points, carried = _points(series.files[0])
-    last, _ = _points(series.files[-1])
+def _open(series: Series, friction_angle_deg: float | None) -> Iterator[Recording]:
+    points, carried = read_frame(series, series.numbers[0])
+    order = _order_of(series, points, carried)
+    if order is not None:
+        place = order(points, carried)
+        points, carried = points[place], {name: values[place] for name, values in carried.items()}
+    last, _ = read_frame(series, series.numbers[-1], attributes=False)
     axes = [axis for axis in range(3) if points[:, axis].any() or last[:, axis].any()]
     if len(axes) < 2 or len(points) < 2:
         axes = [0, 1, 2]
@@ -122,25 +80,30 @@ def _open(series: Series) -> Iterator[Recording]:
 
     def read(start: int, stop: int) -> NDArray[Any]:
         frames = []
-        for file in series.files[start:stop]:
-            frame, _ = _points(file)
-            if len(frame) != number:
-                raise InputError(f"{file.name} has {len(frame)} particles and the first file {number}; no trajectory.")
-            if len(axes) == 2 and frame[:, ({0, 1, 2} - set(axes)).pop()].any():
-                raise InputError(f"{file.name} has particles outside the plane of the first frame.")
-            frames.append(frame[:, axes])
+        for frame in series.numbers[start:stop]:
+            name = series.frames[frame][0].name
+            where, more = read_frame(series, frame, attributes=order is not None)
+            if len(where) != number:
+                raise InputError(f"{name} has {len(where)} particles and the first file {number}; no trajectory.")
+            if order is not None:
+                with reading(series.frames[frame][0]):
+                    where = where[order(where, more)]
+            if len(axes) == 2 and where[:, ({0, 1, 2} - set(axes)).pop()].any():
+                raise InputError(f"{name} has particles outside the plane of the first frame.")
+            frames.append(where[:, axes])
         return np.stack(frames)
 
     types = carried.get(PARTICLE_TYPE.name)
-    material = carried.get(MATERIAL_FEATURES[0])
-    velocity = carried.get("velocity")
+    tangent = None if friction_angle_deg is None else np.array(np.tan(np.radians(friction_angle_deg)))
+    material = carried.get(MATERIAL_FEATURES[0], tangent)
+    velocity = carried.get("velocity", carried.get("velocities") if series.numbers[0] == 0 else None)
     sound = velocity is not None and velocity.shape == points.shape
     mass = carried.get(MASS.name)
     notes = () if types is not None else ("no particle types are stored; all particles are taken for sand, type 6",)
     if sound:
         notes = (*notes, f"{INITIAL_VELOCITY.name} is the velocity of the first frame")
     yield Recording(
-        num_frames=len(series.files),
+        num_frames=len(series.numbers),
         particle_type=checked_types(np.array(int(ParticleType.SAND)) if types is None else types, number),
         read=read,
         dim=len(axes),
@@ -153,6 +116,50 @@ def _open(series: Series) -> Iterator[Recording]:
     )
 
 
-def _points(file: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
-    with reading(file):
-        return read_points(file)
+def _order_of(series: Series, points: NDArray[Any], carried: Carried) -> Order | None:
+    """Return how particles are found again: by their ids or by where they came from; None: by their place in the file.
+
+    Raises:
+        InputError: a frame is in several files, between which particles move, and nothing tells them apart.
+    """
+    for name in IDS:
+        ids = carried.get(name)
+        if ids is not None and ids.shape == (len(points),) and len(np.unique(ids)) == len(ids):
+            return _by_ids(name, np.sort(ids))
+    if not series.in_parts:
+        return None
+    for name in DISPLACEMENTS:
+        if name in carried and carried[name].shape == points.shape:
+            return _by_origin(name, points - carried[name])
+    raise InputError(
+        "has its frames in several files, between which particles may move, and nothing tells them apart (id, or "
+        "displacements); write one file a frame, or convert the particles….h5 of the run."
+    )
+
+
+def _by_ids(name: str, ids: NDArray[Any]) -> Order:
+    def order(where: NDArray[Any], more: Carried) -> NDArray[np.int64]:
+        place = np.argsort(more[name], kind="stable") if name in more else np.arange(0)
+        if not len(place) or not np.array_equal(more[name][place], ids):
+            raise InputError(f"has other particles, by their {name}, than the first file.")
+        return place
+
+    return order
+
+
+def _by_origin(name: str, origins: NDArray[Any]) -> Order:
+    """Return an order by points less displacements, which are the same in all frames but for rounding."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(origins)
+    reach = tree.query(origins, k=2)[0][:, 1].min() / 4 if len(origins) > 1 else np.inf
+
+    def order(where: NDArray[Any], more: Carried) -> NDArray[np.int64]:
+        if name not in more:
+            raise InputError(f"lacks {name}, by which particles are found again.")
+        distance, particle = tree.query(where - more[name])
+        if not (distance < reach).all() or len(np.unique(particle)) != len(origins):
+            raise InputError(f"has {name} that do not lead back to the places of the first file's particles.")
+        return np.argsort(particle)
+
+    return order

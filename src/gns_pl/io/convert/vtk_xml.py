@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.io.convert.limits import LARGEST_RATIO, check_claim, check_memory
+from gns_pl.io.regular import regular_size
 
 KINDS = {
     "Float32": "f4", "Float64": "f8", "Int8": "i1", "Int16": "i2", "Int32": "i4", "Int64": "i8",
     "UInt8": "u1", "UInt16": "u2", "UInt32": "u4", "UInt64": "u8",
 }  # fmt: skip
+VERTICES = (1, 2)
+"""Types of cells in an UnstructuredGrid that join no points."""
 PIECES = {"PolyData": "PolyData/Piece", "UnstructuredGrid": "UnstructuredGrid/Piece"}
 
 
@@ -37,13 +40,17 @@ class _Encoding:
     raw: bool
 
 
-def read_points(path: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
+def read_points(path: Path, *, empty: bool = False) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
     """Return the points of a file [N, 3] and what each carries, name → [N] or [N, C].
+
+    Args:
+        path: of the file.
+        empty: whether it may have no points, as one of several of a frame.
 
     Raises:
         InputError: no such file, or one whose numbers do not fit what it claims.
     """
-    check_memory(3 * path.stat().st_size, "the file")
+    check_memory(3 * regular_size(path), "the file")
     root, encoding = _parse(path.read_bytes())
     kind = root.get("type", "")
     if kind not in PIECES:
@@ -62,9 +69,24 @@ def read_points(path: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
             if array.get("type") in KINDS:
                 carried.setdefault(array.get("Name", ""), []).append(_numbers(array, number, encoding))
     if not points:
+        if empty:
+            return np.empty((0, 3)), {}
         raise InputError("has no points.")
     whole = {name: np.concatenate(parts) for name, parts in carried.items() if len(parts) == len(points)}
     return np.concatenate(points), whole
+
+
+def has_cells(path: Path) -> bool:
+    """Return whether the points of a file are joined by lines, faces or solids, as those of a mesh are."""
+    check_memory(3 * regular_size(path), "the file")
+    root, encoding = _parse(path.read_bytes())
+    for piece in root.iter("Piece"):
+        if any(int(piece.get(f"NumberOf{kind}", "0")) > 0 for kind in ("Lines", "Strips", "Polys")):
+            return True
+        types, number = piece.find("Cells/DataArray[@Name='types']"), int(piece.get("NumberOfCells", "0"))
+        if types is not None and number and not np.isin(_numbers(types, number, encoding), VERTICES).all():
+            return True
+    return False
 
 
 def parse_xml(text: bytes) -> ElementTree.Element:

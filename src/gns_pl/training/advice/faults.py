@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from gns_pl.errors import InputError
+from gns_pl.scene.origin import check_coarseness
 from gns_pl.training.advice.numbers import Advice
 
 SPACING_FACTOR, GRAVITY_FACTOR, SAME_FACTOR, STATISTICS_FACTOR = 1.3, 1.05, 1.15, 2.0
@@ -78,6 +80,15 @@ def _gravity(advice: Advice) -> Suggestion | None:
     )
 
 
+def _far(advice: Advice) -> Suggestion | None:
+    extent, spacing = advice.survey.faults.extent, advice.survey.density.spacing
+    try:
+        check_coarseness("the data", extent, spacing, "convert their source again, which takes the origin off")
+    except InputError as error:
+        return Suggestion(str(error))
+    return None
+
+
 def _outside(advice: Advice) -> Suggestion | None:
     faults = advice.survey.faults
     if faults.outside <= OUTSIDE or _lengths(advice) is not None:
@@ -128,6 +139,7 @@ def _obstacles(advice: Advice) -> Suggestion | None:
 
 FAULTS: tuple[Rule, ...] = (
     _finite,
+    _far,
     _lengths,
     _time_step,
     _gravity,

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 
+from gns_pl.data.places import RADIUS, advised_radius
 from gns_pl.training.advice.faults import FAULTS, Rule, Suggestion, percent
 from gns_pl.training.advice.numbers import Advice, target_noise
 
 NEIGHBOURS = {2: (4.0, 20.0), 3: (8.0, 60.0)}
-"""D → least and largest mean number of neighbours; at two spacings there are about 9 and 23."""
-
-RADIUS = 2.0
-"""Radius that is suggested, in spacings."""
+"""D → least and largest mean number of neighbours; at `RADIUS` spacings there are about 11 and 28."""
 
 NOISE_SHARE = (0.95, 0.85)
 """Largest share of noise in the target, and the one that is suggested instead; about 0.85 is usual."""
@@ -64,7 +62,7 @@ def _radius(advice: Advice) -> Suggestion | None:
     return Suggestion(
         f"a particle has {mean:.3g} neighbours within {density.radius:.3g} m ({density.radius / density.spacing:.3g} "
         f"spacings), {what}; at {RADIUS:g} spacings it has {density.by_spacing[f'{RADIUS:g}']:.3g}.",
-        f"model.connectivity_radius={RADIUS * density.spacing:.3g}",
+        f"model.connectivity_radius={advised_radius(density.spacing):g}",
     )
 
 
