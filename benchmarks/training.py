@@ -62,7 +62,6 @@ class PlainNetwork(nn.Module):
         network = copy.deepcopy(network)
         self.node_encoder, self.edge_encoder = network.node_encoder, network.edge_encoder
         self.static_edges = network.static_edges
-        self.averages = any(layer.averages for layer in network.processor)
         self.edge_mlps, self.node_mlps, self.decoder = nn.ModuleList(), nn.ModuleList(), network.decoder
         for layer in network.processor:
             self.edge_mlps.append(concatenated_mlp(layer))
@@ -75,8 +74,6 @@ class PlainNetwork(nn.Module):
         for edge_mlp, node_mlp in zip(self.edge_mlps, self.node_mlps, strict=True):
             message = edge_mlp(torch.cat([node[sender], node[receiver], edge], dim=1))
             received = torch.zeros_like(node).index_add(0, receiver, message)
-            if self.averages:
-                received = received / torch.bincount(receiver, minlength=len(node)).clamp(min=1)[:, None]
             node = node + node_mlp(torch.cat([received, node], dim=1))
             if not self.static_edges:
                 edge = edge + message

@@ -88,3 +88,14 @@ def test_networks_with_earlier_context_features_are_refused(which: str) -> None:
 
 def test_there_are_golden_checkpoints() -> None:
     assert all((GOLDEN / f"format_{number}.ckpt").is_file() for number in (1, 3, 4))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("output", "pairs"), ("output", "held"), ("aggregation", "mean"), ("static_edges", True)]
+)
+def test_what_is_no_longer_supported_is_told(key: str, value: object, tmp_path: Path) -> None:
+    content = torch.load(GOLDEN / "format_3.ckpt", weights_only=True)
+    content[KEY]["config"][key] = value
+    torch.save(content, tmp_path / "old.ckpt")
+    with pytest.raises(InputError, match=f"was trained with model.{key}={value}, which is no longer supported"):
+        load_checkpoint(tmp_path / "old.ckpt")

@@ -10,7 +10,6 @@ import torch
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
-from gns_pl.nn import PairNetwork
 from gns_pl.rollout import rollout, static_of
 from gns_pl.scene import Scene
 from gns_pl.simulator import OUTPUTS, Simulator, SimulatorConfig
@@ -50,10 +49,8 @@ def test_free_fall_is_exact_if_the_network_is_silent(drop: Scene) -> None:
         last = simulator.network.decoder[-1]
         torch.nn.init.zeros_(last.weight)
         torch.nn.init.zeros_(last.bias)
-        if output in ("gated", "held"):
+        if output == "gated":
             last.bias.data[3:] = 100.0  # gate wide open
-        if isinstance(simulator.network, PairNetwork):
-            torch.nn.init.zeros_(simulator.network.force.weight)
         start = make_start(drop)
         predicted = rollout(simulator, start, 10)
         time = 0.01 * np.arange(11)[:, None, None]
@@ -73,32 +70,11 @@ def test_a_particle_without_contact_falls_freely_whatever_the_weights(output: st
     assert moved[:2].abs().max() < 1e-4 < moved[2].abs().max()
 
 
-def test_forces_of_pairs_keep_momentum_and_those_of_others_do_not() -> None:
-    position = 0.3 + 0.4 * torch.rand(200, 1, 3)
-    history = position + 0.003 * torch.randn(200, 4, 3)
-    sums = {}
-    for output in ("pairs", "acceleration"):
-        simulator = make_simulator(output=output, connectivity_radius=0.15).double()
-        static = make_static(200)
-        static = dataclasses.replace(static, **{key: getattr(static, key).double() for key in ("lower", "upper")})
-        normalised = simulator.normalised_acceleration(history.double(), static)
-        sums[output] = float((normalised.sum(dim=0).norm() / normalised.norm()).detach())
-    assert sums["pairs"] < 1e-12 < 1e-2 < sums["acceleration"]
-
-
-@pytest.mark.parametrize("change", [{"aggregation": "mean"}, {"static_edges": True}, {"num_message_passing_steps": 0}])
-def test_pairs_refuse_what_they_cannot_do(change: dict[str, object]) -> None:
-    with pytest.raises(InputError, match="output=pairs"):
-        make_config(output="pairs", **change)
-
-
-@pytest.mark.parametrize(("output", "increment"), [("gated", 0.0), ("held", 0.0), ("held", 3.0)])
-def test_closed_gate_brings_everything_to_rest(drop: Scene, output: str, increment: float) -> None:
-    """A held simulator even where its increments are wrong."""
-    simulator = make_simulator(output=output)
+def test_closed_gate_brings_everything_to_rest(drop: Scene) -> None:
+    simulator = make_simulator(output="gated")
     last = simulator.network.decoder[-1]
     torch.nn.init.zeros_(last.weight)
-    torch.nn.init.constant_(last.bias, increment)
+    torch.nn.init.zeros_(last.bias)
     last.bias.data[3:] = -100.0
     predicted = rollout(simulator, make_start(drop), 5)
     np.testing.assert_allclose(predicted.position[1:], predicted.position[:1].repeat(5, axis=0), atol=1e-6)

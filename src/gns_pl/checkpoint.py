@@ -28,6 +28,10 @@ FORMAT_VERSION = 4
 PREFIX = "simulator."
 
 
+RETIRED = ("pairs", "held", "mean")
+"""Values of model.output and model.aggregation that were removed: they made no better simulator (docs/training.md)."""
+
+
 @dataclass(frozen=True)
 class Checkpoint:
     """What a checkpoint holds.
@@ -111,7 +115,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     kind = entry.get("kind", "simulator")
     if kind not in KINDS:
         raise InputError(f"{path}: holds a simulator of the unknown kind {kind!r}; install a newer gns_pl.")
-    simulator = build_simulator(KINDS[kind].from_dict(entry["config"]))
+    simulator = build_simulator(KINDS[kind].from_dict(_current(entry["config"], path)))
     weights = {
         name.removeprefix(PREFIX): value for name, value in content["state_dict"].items() if name.startswith(PREFIX)
     }
@@ -121,6 +125,21 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         raise InputError(f"{path}: its weights do not fit its own configuration; the file is damaged.") from error
     seen = Seen.from_dict(entry["seen"]) if "seen" in entry else None
     return Checkpoint(simulator.eval(), entry["data"], entry["provenance"], seen)
+
+
+def _current(config: Mapping[str, Any], path: str | Path) -> dict[str, Any]:
+    """Return a stored config without the keys that earlier versions had besides.
+
+    Raises:
+        InputError: it asks for what is no longer made.
+    """
+    given = {key: config[key] for key in ("output", "aggregation") if config.get(key) in RETIRED}
+    if not given and config.get("static_edges") and "edge_update" not in config:
+        given = {"static_edges": True}
+    if given:
+        what = ", ".join(f"model.{key}={value}" for key, value in given.items())
+        raise InputError(f"{path}: was trained with {what}, which is no longer supported; train it again.")
+    return {key: value for key, value in config.items() if key not in ("aggregation", "static_edges")}
 
 
 def load_simulator(path: str | Path) -> Simulator:

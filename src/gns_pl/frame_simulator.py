@@ -55,12 +55,10 @@ class FrameConfig(SimulatorConfig):
         super().__post_init__()
         if self.edge_update not in EDGE_UPDATES:
             raise InputError(f"edge_update must be one of {', '.join(EDGE_UPDATES)}, not {self.edge_update!r}.")
-        if self.output != "acceleration" or self.context or self.aggregation != "sum":
-            raise InputError("a simulator in frames has output=acceleration, aggregation=sum and no context.")
+        if self.output != "acceleration" or self.context:
+            raise InputError("a simulator in frames has output=acceleration and no context.")
         if max(self.particle_types, default=0) >= self.num_types or min(self.particle_types, default=0) < 0:
             raise InputError(f"particle types {list(self.particle_types)} need more than num_types={self.num_types}.")
-        if self.static_edges != (self.edge_update == "legacy_doubling"):
-            raise InputError("static_edges goes with edge_update=legacy_doubling, and with nothing else.")
 
 
 class FrameSimulator(Simulator):
@@ -82,6 +80,8 @@ class FrameSimulator(Simulator):
     @in_float32
     def __init__(self, config: FrameConfig) -> None:
         super().__init__(config)
+        # Doubled edges are the encoded ones with powers of two in the weights (`io.convert.geoelements_weights`).
+        self.network.static_edges = config.edge_update == "legacy_doubling"
         self.types = nn.Embedding(config.num_types, config.type_size)
         for name in ("velocity", "acceleration"):
             self.register_buffer(f"{name}_mean", torch.zeros(config.dim))

@@ -17,10 +17,9 @@ from torch import Tensor, nn
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
 from gns_pl.graph.features import in_precision
-from gns_pl.nn import EncodeProcessDecode, PairNetwork, in_float32
+from gns_pl.nn import EncodeProcessDecode, in_float32
 
-OUTPUTS = ("acceleration", "gated", "held", "pairs")
-AGGREGATIONS = ("sum", "mean")
+OUTPUTS = ("acceleration", "gated")
 
 
 @dataclass(frozen=True)
@@ -40,13 +39,8 @@ class SimulatorConfig:
         num_message_passing_steps: number of interaction networks.
         output: "acceleration": the network gives (a − g) / scale. "gated": it gives a gate s in (0, 1) per axis and an
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
-            "held": v' = s (v + g Δt + u), so that s = 0 alone is rest, whatever u is. "pairs": one message per pair of
-            particles instead of two (`nn.pairs`); a − g is a sum of forces that are equal and opposite at both ends,
-            and near a wall that of the wall, so particles of equal mass keep their momentum where no wall is.
         context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
-        aggregation: of the messages at a particle, "sum" or "mean".
-        static_edges: every interaction network sees the encoded edges, none updates them.
 
     Raises:
         InputError: values that make no simulator.
@@ -65,8 +59,6 @@ class SimulatorConfig:
     output: str
     context: bool
     neighbours: str
-    aggregation: str = "sum"
-    static_edges: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particle_types", tuple(self.particle_types))
@@ -80,13 +72,6 @@ class SimulatorConfig:
                 raise InputError(f"model.{name} must be positive, not {getattr(self, name)}.")
         if self.output not in OUTPUTS:
             raise InputError(f"model.output must be one of {', '.join(OUTPUTS)}, not {self.output!r}.")
-        if self.aggregation not in AGGREGATIONS:
-            raise InputError(f"model.aggregation must be one of {', '.join(AGGREGATIONS)}, not {self.aggregation!r}.")
-        odd = self.aggregation != "sum" or self.static_edges or self.num_message_passing_steps < 1
-        if self.output == "pairs" and odd:
-            raise InputError(
-                "model.output=pairs sums its messages: aggregation=sum, static_edges=false, one step at least."
-            )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SimulatorConfig:
@@ -132,21 +117,14 @@ class Simulator(nn.Module):
         self.register_buffer("velocity_scale", torch.ones(()))
         self.register_buffer("acceleration_scale", torch.ones(()))
         self.register_buffer("material_scale", torch.stack([torch.zeros(features), torch.ones(features)]))
-        shape: dict[str, Any] = {
-            "node_width": self.node_width(),
-            "edge_width": edge_width(config.dim),
-            "output_width": config.dim * (1 if config.output == "acceleration" else 2),
-            "latent_size": config.latent_size,
-            "num_mlp_layers": config.num_mlp_layers,
-            "num_message_passing_steps": config.num_message_passing_steps,
-        }
-        self.network: EncodeProcessDecode | PairNetwork
-        if config.output == "pairs":
-            self.network = PairNetwork(**shape)
-        else:
-            self.network = EncodeProcessDecode(
-                **shape, aggregation=config.aggregation, static_edges=config.static_edges
-            )
+        self.network = EncodeProcessDecode(
+            node_width=self.node_width(),
+            edge_width=edge_width(config.dim),
+            output_width=config.dim * (2 if config.output == "gated" else 1),
+            latent_size=config.latent_size,
+            num_mlp_layers=config.num_mlp_layers,
+            num_message_passing_steps=config.num_message_passing_steps,
+        )
 
     def node_width(self) -> int:
         """Return the width of the node features."""
@@ -251,14 +229,9 @@ class Simulator(nn.Module):
         node, edge_index = self.features(history, static)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = self.network(node, edge, edge_index)
-        if config.output == "pairs":
-            output, of_walls = output.chunk(2, dim=1)
-            output = output + torch.where(self._at_wall(position, static)[:, None], of_walls, 0.0)
-        elif config.output != "acceleration":
+        if config.output == "gated":
             increment, gate = output.chunk(2, dim=1)
             falling = velocity[:, -1] / config.dt + static.of_particles(static.gravity)  # (v + g Δt) / Δt
-            if config.output == "held":
-                increment = torch.sigmoid(gate) * increment
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
         return torch.where(self._in_contact(position, edge_index, static)[:, None], output, 0.0)
 

@@ -119,7 +119,7 @@ def test_groups_are_taken_with_and_without_a_plus() -> None:
 
 
 COMMANDS = {
-    "train": ["resume", "data.root", "training.distil_from", "hydra.run.dir", "hydra.sweep.dir", "name", "description"],
+    "train": ["resume", "data.root", "hydra.run.dir", "hydra.sweep.dir", "name", "description"],
     "evaluate": ["ckpt", "out", "cache", "evaluation.scenes"],
     "simulate": ["ckpt", "scene", "out", "choice.records"],
     "generate": ["data.root"],

@@ -12,7 +12,7 @@ from tests.nn.test_edges import make_graph, make_network
 
 @pytest.mark.parametrize("num_mlp_layers", [1, 2, 3])
 @pytest.mark.parametrize("edges", [300, 1, 0])
-@pytest.mark.parametrize("kind", [{}, {"aggregation": "mean"}, {"static_edges": True}])
+@pytest.mark.parametrize("kind", [{}, {"static_edges": True}])
 @pytest.mark.parametrize("block", [300, 5000, 512 * 1024])
 def test_blocks_change_nothing(
     num_mlp_layers: int, edges: int, kind: dict[str, Any], block: int, monkeypatch: pytest.MonkeyPatch

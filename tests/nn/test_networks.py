@@ -68,15 +68,6 @@ def layered(**kind: Any) -> EncodeProcessDecode:
     ).double()
 
 
-def test_a_mean_does_not_count_the_messages() -> None:
-    """Every edge twice: the same mean, another sum."""
-    node, edge, edge_index = torch.randn(6, 6).double(), torch.randn(12, 4).double(), torch.randint(0, 6, (2, 12))
-    doubled = edge.repeat(2, 1), edge_index.repeat(1, 2)
-    mean, total = layered(aggregation="mean"), layered()
-    torch.testing.assert_close(mean(node, *doubled), mean(node, edge, edge_index))
-    assert not torch.allclose(total(node, *doubled), total(node, edge, edge_index))
-
-
 def test_static_edges_stay_as_they_were_encoded() -> None:
     node, edge, edge_index = torch.randn(6, 6).double(), torch.randn(12, 4).double(), torch.randint(0, 6, (2, 12))
     network = layered(static_edges=True)

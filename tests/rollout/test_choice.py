@@ -217,7 +217,7 @@ def test_the_packages_records_are_of_its_ways() -> None:
         read_records(Path("nowhere.csv"))
     with pytest.raises(InputError, match=r"there is no checkpoint nothing\.ckpt"):
         make_ways(["nothing.ckpt"], [], {}, [], MPM)
-    with pytest.raises(InputError, match=r"choice\.handed\.x: needs finer, first, learned, until, not learned"):
+    with pytest.raises(InputError, match=r"choice\.handed\.x: needs learned, until, not learned"):
         make_ways([], [], {"x": {"learned": "collapse_plane"}}, [], MPM)
-    (way,) = make_ways([], [], {"x": {"learned": "collapse_plane", "first": "mpm", "until": 1, "finer": 2}}, [], MPM)
-    assert isinstance(way, HandedWay) and way.settings["cell_size"] == pytest.approx(1 / 32)
+    (way,) = make_ways([], [], {"x": {"learned": "collapse_plane", "until": 1}}, [], MPM)
+    assert isinstance(way, HandedWay) and way.settings["cell_size"] == pytest.approx(1 / 16)

@@ -52,7 +52,7 @@ def step_together(rank: int, size: int, meeting: str, settings: dict[str, Any], 
     dist.destroy_process_group()
 
 
-@pytest.mark.parametrize(("settings", "compiled"), [({"context": True}, True), ({"aggregation": "mean"}, False)])
+@pytest.mark.parametrize(("settings", "compiled"), [({"context": True}, True), ({"context": False}, False)])
 def test_two_processes_make_the_rollout_of_one(settings: dict[str, Any], compiled: bool, tmp_path: Path) -> None:
     arguments = (2, str(tmp_path / "meeting"), settings, compiled, str(tmp_path / "frames"))
     start_processes(step_together, arguments, 2)

@@ -1,4 +1,4 @@
-"""One run in two hands is one run: what a simulator hands to itself, and what a heap does that MPM takes over."""
+"""What a heap does that MPM takes over from a learned simulator."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ import pytest
 
 from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.errors import InputError
-from gns_pl.generation.solver import place_points, run_solver, stepped_run
-from gns_pl.rollout import rollout
+from gns_pl.generation.solver import run_solver, stepped_run
 from gns_pl.rollout.correction import points_of
 from gns_pl.rollout.fitted import HandedWay
-from gns_pl.rollout.handover import continued_by_mpm, continued_by_simulator
+from gns_pl.rollout.handover import continued_by_mpm
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
-from gns_pl.trajectory import start_trajectory
 from tests.conftest import MPM as mpm_settings
 from tests.conftest import SAND, make_simulator
 from tests.rollout.test_choice import DATA
@@ -32,15 +30,6 @@ def column(duration: float = 0.2, dim: int = 2) -> Scene:
     return column_collapse(
         domain=domain, length=0.3, height=0.3, gravity=9.81, duration=duration, material=SAND, walls=walls
     )
-
-
-def test_a_simulator_goes_on_as_if_it_had_never_stopped() -> None:
-    simulator, scene = make_simulator(dim=2, spacing=0.05, connectivity_radius=0.1), column()
-    start = start_trajectory(scene, place_points(scene, MPM, 0), 0.01, {})
-    whole = rollout(simulator, start, 10)
-    again = continued_by_simulator(simulator, rollout(simulator, start, 4), 6)
-    assert again.provenance["handed_over_at"] == pytest.approx(0.04)
-    np.testing.assert_array_equal(again.position, whole.position)
 
 
 def test_a_settled_heap_is_not_kicked() -> None:
@@ -67,23 +56,20 @@ def test_a_falling_body_falls_on() -> None:
     np.testing.assert_allclose(again.position.mean(axis=1), whole.position.mean(axis=1), atol=6e-4)
 
 
-@pytest.mark.parametrize(("first", "finer"), [("mpm", 2), ("learned", 1)])
-def test_a_way_in_two_hands(tmp_path: Path, first: str, finer: int) -> None:
+def test_a_way_in_two_hands(tmp_path: Path) -> None:
     simulator = make_simulator(dim=2, spacing=0.05, connectivity_radius=0.1)
     save_checkpoint(tmp_path / "flat.ckpt", Checkpoint(simulator, {**DATA, "mpm": MPM}, {}))
-    way = HandedWay("both", tmp_path / "flat.ckpt", first=first, until=0.4, finer=finer)
+    way = HandedWay("both", tmp_path / "flat.ckpt", until=0.4)
     scene = column(dim=3)
     assert way.shares(scene) == (7, 13) and way.work(scene) > 0
     made = way.run(scene, interval=0.01, seed=0)
     assert made.scene == scene and made.num_frames == 21 and np.isfinite(made.position).all()
     assert made.mass.sum() == pytest.approx(1800 * 0.3 * 0.3 * 0.3, rel=1e-5)
     assert made.position.min() >= 0
-    other = HandedWay("both", tmp_path / "flat.ckpt", first=first, until=9.0, finer=finer)
+    other = HandedWay("both", tmp_path / "flat.ckpt", until=9.0)
     assert other.shares(scene) == (20, 0) and other.run(scene, interval=0.01, seed=0).num_frames == 21
 
 
 def test_what_makes_no_such_way_is_refused() -> None:
-    with pytest.raises(InputError, match="begins with mpm or learned, not 'nobody'"):
-        HandedWay("both", "x", first="nobody")
     with pytest.raises(InputError, match="until above 0"):
         HandedWay("both", "x", until=0.0)

@@ -30,7 +30,7 @@ def run(folder: Path, name: str, scene: Scene, *more: str, key: str = "ckpt") ->
 
 
 @pytest.mark.parametrize(
-    "name", ["collapse_plane", "friction_plane", "column-fast-plane", *corrector_names(), "mpm_then_collapse_plane"]
+    "name", ["collapse_plane", "friction_plane", "column-fast-plane", *corrector_names(), "collapse_plane_then_mpm"]
 )
 def test_what_is_of_two_dimensions_runs_a_column_between_smooth_walls(name: str, tmp_path: Path) -> None:
     scene = column().replace(duration=0.1)
@@ -69,7 +69,7 @@ def test_an_alias_is_a_name_of_the_solver_too(tmp_path: Path, capsys: pytest.Cap
         run(tmp_path, "null", column(), "check=true")
     with pytest.raises(InputError, match="cell_size= is that of solver=mpm; tolerance= chooses among"):
         run(tmp_path, "0.05", column(), "cell_size=0.05", key="tolerance")
-    with pytest.raises(InputError, match=r"those that come with gns_pl are collapse, .*corrected_plane, mpm_then_"):
+    with pytest.raises(InputError, match=r"those that come with gns_pl are collapse, .*collapse_plane_then_mpm"):
         run(tmp_path, "corected_plane", column())
 
 

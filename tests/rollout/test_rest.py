@@ -40,23 +40,23 @@ def long_still(start: Trajectory) -> torch.Tensor:
 
 
 @torch.inference_mode()
-def with_sleepers(simulator: Simulator, halo: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def with_sleepers(simulator: Simulator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """A step's positions in full and with sleepers, and who is awake: one end moves, the rest has long been still."""
     start = make_start(long_column())
     history, static = long_still(start), static_of(start)
-    step = SleepingStep(simulator, speed=0.01, halo=halo)
+    step = SleepingStep(simulator, speed=0.01)
     moving = history[:, -1, 0] > 2.5
     history[moving, :-1, 0] -= 0.01
     position = step(history, static)
     return simulator(history[:, -simulator.config.input_sequence_length :], static), position, step.awake
 
 
-def test_what_is_awake_moves_as_in_the_full_step_within_a_whole_halo() -> None:
-    simulator = make_simulator(num_message_passing_steps=2)
-    full, position, awake = with_sleepers(simulator, halo=2)
+def test_what_is_awake_moves_as_in_the_full_step_of_two_layers() -> None:
+    """Messages reach one radius around what is awake: all that two layers see, and not all that three do."""
+    full, position, awake = with_sleepers(make_simulator(num_message_passing_steps=2))
     assert 0.1 < awake.float().mean() < 0.5
     torch.testing.assert_close(position[awake], full[awake], atol=1e-6, rtol=0)
-    full, position, awake = with_sleepers(simulator, halo=0)
+    full, position, awake = with_sleepers(make_simulator(num_message_passing_steps=3))
     assert not torch.allclose(position[awake], full[awake], atol=1e-6, rtol=0)
 
 

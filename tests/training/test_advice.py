@@ -40,8 +40,6 @@ TRAINING: dict[str, Any] = {
     "stride": 1,
     "start_repeats": 2,
     "moving_repeats": 1,
-    "distil_from": None,
-    "distil_share": 0.5,
     "noise_std": 2e-4,
     "noise_free": 0.4,
     "strain_std": 0.06,

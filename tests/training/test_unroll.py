@@ -7,8 +7,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
-from gns_pl.errors import InputError
-from gns_pl.training.distillation import Elder
 from gns_pl.training.unroll import unrolled_loss
 from tests.conftest import make_simulator, make_static
 
@@ -70,25 +68,3 @@ def test_gradients_go_through_all_steps() -> None:
                 parameter += sign * small * direction
             values.append(float(loss()))
     assert along == pytest.approx((values[0] - values[1]) / (2 * small), rel=1e-4)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
-def test_an_elder_has_its_part_in_every_target(share: float) -> None:
-    """What an elder of equal weights asks for is what is done, whatever the scales: only the data's part is left."""
-    simulator, static = make_simulator().double(), make_static(NUMBER)
-    elder = Elder(simulator, share)
-    history, goal, future = make_case()
-    elder.simulator.acceleration_scale /= 2
-    elder.simulator.network.decoder[-1].weight.data *= 2
-    elder.simulator.network.decoder[-1].bias.data *= 2
-    plain = unrolled_loss(simulator, history, goal, future, static, restore=0.2, loss=mse_loss)
-    got = unrolled_loss(simulator, history, goal, future, static, restore=0.2, loss=mse_loss, elder=elder)
-    torch.testing.assert_close(got, (1 - share) ** 2 * plain, rtol=1e-9, atol=1e-12)
-
-
-def test_an_elder_of_other_data_is_refused() -> None:
-    config = make_simulator().config
-    with pytest.raises(InputError, match="there is no checkpoint nothing"):
-        Elder.read("nothing.ckpt", 0.5, config)
-    with pytest.raises(InputError, match="collapse_plane has dim 2, and what is to learn has 3"):
-        Elder.read("collapse_plane", 0.5, config)

@@ -23,7 +23,7 @@ LISTS = ("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.correct
 """Keys whose value is the name of a file, or a list of such names: [a,b]."""
 
 NAMES = (
-    *("resume", "data.root", "training.distil_from", "out", "cache", "source", "target", "deck", "records", "publish"),
+    *("resume", "data.root", "out", "cache", "source", "target", "deck", "records", "publish"),
     *("weights.metadata", "weights.data", "choice.records", "choice.handed.*.learned", "hydra.run.dir"),
     *(
         "hydra.sweep.dir",

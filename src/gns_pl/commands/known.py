@@ -41,7 +41,7 @@ NUMBERS = (
 )
 TEXTS = (
     *("way", "out", "choice.records", "records", "publish", "source", "target", "deck", "data.root", "resume"),
-    *("weights.metadata", "weights.data", "weights.edge_update", "training.distil_from", "evaluation.split"),
+    *("weights.metadata", "weights.data", "weights.edge_update", "evaluation.split"),
     *("evaluation.film", "evaluation.stress.label"),
 )
 SEVERAL = ("ckpt", "scene", *(f"evaluation.{name}" for name in ("scenes", "only", "stress.only", "stress.axes")))

@@ -241,7 +241,6 @@ def build(
         output="acceleration",
         context=False,
         neighbours="auto",
-        static_edges=doubling,
         num_types=shape.num_types,
         type_size=shape.type_size,
         boundary_clip=positive(stated, "boundary_augment") or 1.0,

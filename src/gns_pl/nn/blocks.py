@@ -102,8 +102,6 @@ class _Blocks:
     def _update(self, number: int, low: int, high: int, *, hand_on: bool) -> None:
         """Update nodes by what layer `number` passed to them."""
         layer, node, received = self.layers[number], self.node[low:high], self.received[low:high]
-        if layer.averages:
-            received /= self.edges.start[low : high + 1].diff().clamp(min=1)[:, None]
         node += layer.node_mlp(torch.cat([received, node], dim=1))
         if hand_on:
             self._hand_on(number + 1, low, high)

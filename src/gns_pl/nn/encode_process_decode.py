@@ -29,7 +29,6 @@ class EncodeProcessDecode(nn.Module):
         latent_size: width of the states.
         num_mlp_layers: hidden layers of each MLP.
         num_message_passing_steps: number of interaction networks.
-        aggregation: of the messages at a node, "sum" or "mean".
         static_edges: every interaction network sees the encoded edges; else the edges it gets are those that the one
             before has updated.
 
@@ -49,14 +48,13 @@ class EncodeProcessDecode(nn.Module):
         latent_size: int,
         num_mlp_layers: int,
         num_message_passing_steps: int,
-        aggregation: str = "sum",
         static_edges: bool = False,
     ) -> None:
         super().__init__()
         self.node_encoder = mlp(node_width, latent_size, num_mlp_layers, latent_size, norm=True)
         self.edge_encoder = mlp(edge_width, latent_size, num_mlp_layers, latent_size, norm=True)
         self.processor = nn.ModuleList(
-            InteractionNetwork(latent_size, num_mlp_layers, aggregation) for _ in range(num_message_passing_steps)
+            InteractionNetwork(latent_size, num_mlp_layers) for _ in range(num_message_passing_steps)
         )
         self.decoder = mlp(latent_size, latent_size, num_mlp_layers, output_width, norm=False)
         self.static_edges = static_edges

@@ -147,9 +147,9 @@ def _pass_messages(  # type: ignore[no-untyped-def]
 
 @triton.jit
 def _update_nodes(  # type: ignore[no-untyped-def]
-    node, summed, first_group, degree, first, weights, biases, norm, next_sender, next_receiver, next_bias,
+    node, summed, first_group, first, weights, biases, norm, next_sender, next_receiver, next_bias,
     sending, receiving, number,
-    WIDTH: tl.constexpr, BLOCK: tl.constexpr, DEEPER: tl.constexpr, AVERAGES: tl.constexpr, HANDS_ON: tl.constexpr,
+    WIDTH: tl.constexpr, BLOCK: tl.constexpr, DEEPER: tl.constexpr, HANDS_ON: tl.constexpr,
     PARTS: tl.constexpr, EPSILON: tl.constexpr, PRECISION: tl.constexpr,
 ):  # fmt: skip
     """Update a block of nodes by the sums of its groups, and make of them what the next layer needs."""
@@ -163,8 +163,6 @@ def _update_nodes(  # type: ignore[no-untyped-def]
         received += tl.load(summed + group[:, None] * WIDTH + column[None, :], mask=(group < end)[:, None], other=0.0)
         group += 1
         most -= 1
-    if AVERAGES:
-        received /= tl.maximum(tl.load(degree + row, mask=there, other=1), 1).to(tl.float32)[:, None]
     at, inside = row[:, None] * WIDTH + column[None, :], there[:, None]
     state = tl.load(node + at, mask=inside, other=0.0)
     second = first + PARTS * WIDTH * WIDTH
@@ -190,14 +188,12 @@ class GroupedEdges:
         sender: of every place, −1 where it is empty [S] int32.
         receiver: of every group, −1 where there is none [S / GROUP] int32.
         first_group: of every node, and the number of groups at the end [N + 1] int32.
-        degree: edges of every node [N] int32.
         place: of every edge; S for padding [E] int64.
     """
 
     sender: Tensor
     receiver: Tensor
     first_group: Tensor
-    degree: Tensor
     place: Tensor
 
     @classmethod
@@ -213,8 +209,7 @@ class GroupedEdges:
         number, device = len(sender), sender.device
         ends = torch.where(sender == receiver, num_nodes, receiver)  # padding belongs to nobody
         start = torch.searchsorted(ends, torch.arange(num_nodes + 1, device=device))
-        degree = start.diff()
-        groups = (degree + GROUP - 1) // GROUP
+        groups = (start.diff() + GROUP - 1) // GROUP
         first_group = torch.cat([groups.new_zeros(1), groups.cumsum(0)])
         most = (number + (GROUP - 1) * min(number, num_nodes)) // GROUP
         most = max(1, math.ceil(most * GROUP / block)) * (block // GROUP)
@@ -227,7 +222,7 @@ class GroupedEdges:
         rank = torch.arange(most, device=device)
         of_group = torch.searchsorted(first_group[1:], rank, right=True)
         of_group = torch.where(of_group < num_nodes, of_group, -1).int()
-        return cls(places[:-1], of_group, first_group.int(), degree.int(), place)
+        return cls(places[:-1], of_group, first_group.int(), place)
 
 
 class FusedNetwork:
@@ -322,10 +317,10 @@ class FusedNetwork:
             following = min(layer + 1, len(self.layers) - 1)
             to_sender, to_receiver = self.ends[following]
             _update_nodes[(triton.cdiv(number, NODES),)](
-                node, summed, grouped.first_group, grouped.degree,
+                node, summed, grouped.first_group,
                 update["first"], update["weights"], update["biases"], update["norm"],
                 to_sender, to_receiver, self.messages[following]["biases"], sending, receiving, number,
-                BLOCK=NODES, DEEPER=update["deeper"], AVERAGES=self.layers[layer].averages, HANDS_ON=not last,
+                BLOCK=NODES, DEEPER=update["deeper"], HANDS_ON=not last,
                 EPSILON=update["epsilon"], num_warps=NODE_WARPS, **shared,
             )  # fmt: skip
         return cast(Tensor, network.decoder(node))

@@ -14,7 +14,7 @@ from gns_pl.nn.sorted_edges import SortedEdges
 
 
 class InteractionNetwork(MessagePassing):  # type: ignore[misc]
-    """Messages from edges and both ends, summed or averaged at the receiver, with residual edge and node updates.
+    """Messages from edges and both ends, summed at the receiver, with residual edge and node updates.
 
     | equation | code |
     |---|---|
@@ -27,12 +27,10 @@ class InteractionNetwork(MessagePassing):  # type: ignore[misc]
     Args:
         latent_size: width of node and edge states.
         num_mlp_layers: hidden layers of each MLP, at least one.
-        aggregation: "sum" or "mean" at the receiver.
     """
 
-    def __init__(self, latent_size: int, num_mlp_layers: int, aggregation: str = "sum") -> None:
-        super().__init__(aggr=aggregation, flow="source_to_target")
-        self.averages = aggregation == "mean"
+    def __init__(self, latent_size: int, num_mlp_layers: int) -> None:
+        super().__init__(aggr="sum", flow="source_to_target")
         self.sender = nn.Linear(latent_size, latent_size, bias=False)
         self.receiver = nn.Linear(latent_size, latent_size, bias=False)
         self.edge_mlp = mlp(latent_size, latent_size, num_mlp_layers, latent_size, norm=True)
@@ -68,8 +66,6 @@ class InteractionNetwork(MessagePassing):  # type: ignore[misc]
             first, rest, norm = self.edge_mlp[0], self.edge_mlp[2:-1], cast(nn.LayerNorm, self.edge_mlp[-1])
             value = rest(gather_and_rectify(first(edge), sending, receiving, sorted_edges))
             updated, received = norm_and_sum(value, norm, edge, sorted_edges, keep=not last)
-            if self.averages:
-                received = received / sorted_edges.start.diff().clamp(min=1)[:, None]
         return node + self.node_mlp(torch.cat([received, node], dim=1)), updated
 
     def edge_update(self, sender_j: Tensor, receiver_i: Tensor, edge: Tensor) -> Tensor:

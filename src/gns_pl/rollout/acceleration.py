@@ -60,8 +60,7 @@ def accelerate(
         raise InputError("acceleration.captured knows no edges from a particle to itself, which this simulator has.")
     if captured and not can_capture(simulator):
         raise InputError(
-            f"acceleration.captured needs a GPU with Triton, a latent_size of {', '.join(map(str, FUSED_WIDTHS))}, and "
-            "another output than pairs."
+            f"acceleration.captured needs a GPU with Triton, a latent_size of {', '.join(map(str, FUSED_WIDTHS))}."
         )
     fast = copy.copy(simulator)
     fast._modules = dict(simulator._modules)  # else it would share the table of modules, and the other's network change
@@ -83,7 +82,7 @@ def accelerate(
 def can_capture(simulator: Simulator) -> bool:
     """Return whether steps of a simulator can become CUDA graphs."""
     on_gpu = simulator.velocity_scale.device.type == "cuda" and has_triton()
-    return on_gpu and simulator.config.latent_size in FUSED_WIDTHS and simulator.config.output != "pairs"
+    return on_gpu and simulator.config.latent_size in FUSED_WIDTHS
 
 
 class CapturedStep:

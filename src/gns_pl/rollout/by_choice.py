@@ -47,7 +47,7 @@ def make_ways(
     Args:
         learned: checkpoints.
         corrected: correctors of coarse MPM.
-        handed: name → {learned, first, until, finer}, as `HandedWay`.
+        handed: name → {learned, until}, as `HandedWay`.
         cells: of MPM, over √(L0 H0).
         mpm: its settings.
         rest_speed: at which learned runs end [m/s]; 0 for never.
@@ -68,11 +68,9 @@ def make_ways(
             raise InputError(f"choice.corrected: there is no corrector {name}.")
         ways.append(CorrectedWay(way_name(name), name))
     for name, each in handed.items():
-        keys = {"learned", "first", "until", "finer"}
-        if set(each) != keys:
-            raise InputError(f"choice.handed.{name}: needs {', '.join(sorted(keys))}, not {', '.join(sorted(each))}.")
-        handing = {key: each[key] for key in ("first", "until", "finer")}
-        ways.append(HandedWay(name, each["learned"], stabilise=kept, **handing))
+        if set(each) != {"learned", "until"}:
+            raise InputError(f"choice.handed.{name}: needs learned, until, not {', '.join(sorted(each))}.")
+        ways.append(HandedWay(name, each["learned"], stabilise=kept, until=each["until"]))
     for number in cells:
         ways.append(MPMWay(f"mpm_{number:g}", float(number), mpm))
     return ways

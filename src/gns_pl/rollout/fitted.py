@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ import numpy as np
 from gns_pl.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.corrector import CorrectorFile, load_corrector
 from gns_pl.errors import InputError
-from gns_pl.generation import chosen_every, solver, thin_trajectory
+from gns_pl.generation import chosen_every
 from gns_pl.pretrained import find_corrector
 from gns_pl.rollout.correction import corrected_run
 from gns_pl.rollout.engine import rollout
 from gns_pl.rollout.failure import Watch
-from gns_pl.rollout.handover import continued_by_mpm, continued_by_simulator
+from gns_pl.rollout.handover import continued_by_mpm
 from gns_pl.rollout.reduction import Reduction, to_plane, why_not_plane
 from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.stabilise import stabilise
@@ -183,26 +183,20 @@ class CorrectedWay(FittedWay):
 
 @dataclass(frozen=True)
 class HandedWay(LearnedWay):
-    """A learned simulator after, or before, the material point method.
+    """A learned simulator, and the material point method after it; its points are the particles.
 
     Attributes:
-        first: "mpm" or "learned".
-        until: when the first hands over [τc = √(H0/g)].
-        finer: MPM's points per particle and direction where it begins; where it ends its points are the particles.
+        until: when the learned simulator hands over [τc = √(H0/g)].
     """
 
-    first: str = "mpm"
     until: float = 1.0
-    finer: int = 1
 
     def __post_init__(self) -> None:
-        if self.first not in ("mpm", "learned"):
-            raise InputError(f"choice.handed: {self.name} begins with mpm or learned, not {self.first!r}.")
-        if not self.until > 0 or self.finer < 1:
-            raise InputError(f"choice.handed: {self.name} needs until above 0 τc and finer of 1 or more.")
+        if not self.until > 0:
+            raise InputError(f"choice.handed: {self.name} needs until above 0 τc.")
 
     def shares(self, scene: Scene) -> tuple[int, int]:
-        """Return how many learned steps the first and the second make."""
+        """Return how many learned steps the simulator makes, and how many MPM makes in their place."""
         less, steps = self.reduced(scene).scene, self.size(scene)[1]
         early = min(steps, max(1, round(self.until * characteristic_time(less) / self.interval)))
         return early, steps - early
@@ -210,35 +204,24 @@ class HandedWay(LearnedWay):
     @property
     def settings(self) -> dict[str, Any]:
         """Of MPM: those of the data, but for cells of two points per direction."""
-        finer = self.finer if self.first == "mpm" else 1
-        return {**self.data["mpm"], "points_per_direction": 2, "cell_size": 2 * self.spacing / finer}
+        return {**self.data["mpm"], "points_per_direction": 2, "cell_size": 2 * self.spacing}
 
     def work(self, scene: Scene) -> float:
         """Return that of the learned steps, and of MPM's as if they were learned."""
         particles, _ = self.size(scene)
-        learned, solved = self.shares(scene)[:: 1 if self.first == "learned" else -1]
+        learned, solved = self.shares(scene)
         less, cell = self.reduced(scene).scene, self.settings["cell_size"]
-        finer = (2 * self.spacing / cell) ** less.dim
         fastest = max(each.p_wave_speed for each in less.materials.values())
         steps = solved * self.interval * fastest / (self.settings["courant"] * cell)
-        return float((particles + OVERHEAD) * learned + particles * finer * steps / POINTS_PER_PARTICLE)
+        return float((particles + OVERHEAD) * learned + particles * steps / POINTS_PER_PARTICLE)
 
     def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
         """Return the trajectory; arguments as those of `Way`."""
-        less, settings = self.reduced(scene), self.settings
+        less = self.reduced(scene)
         simulator = stabilise(self.checkpoint.simulator, **self.stabilise)
         early, late = self.shares(scene)
-        if self.first == "mpm":
-            brief = less.scene.replace(duration=early * self.interval)
-            past = solver.run_solver(brief, settings, frame_interval=self.interval, seed=seed)
-            past = replace(past, scene=less.scene)
-            middle = [(self.finer - 1) // 2] * less.scene.dim
-            past = thin_trajectory(past, settings, seed, self.finer, middle)
-            made = continued_by_simulator(simulator, past, late)
-        else:
-            past = rollout(simulator, start_of(less.scene, self.checkpoint, seed, {}), early)
-            failed = "failed_at" in past.provenance
-            made = past if failed else continued_by_mpm(past, settings, late)
+        past = rollout(simulator, start_of(less.scene, self.checkpoint, seed, {}), early)
+        made = past if "failed_at" in past.provenance else continued_by_mpm(past, self.settings, late)
         return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
 
 

@@ -1,7 +1,7 @@
-"""One run in two hands: the material point method begins and a learned simulator ends it, or the other way round.
+"""One run in two hands: a learned simulator begins it, and the material point method ends it.
 
-Frames pass from one to the other, and nothing else. A learned simulator wants no more: its history is frames. The
-material point method wants a stress besides, which frames do not show: it gets the one by which each particle carries
+Frames pass from one to the other, and nothing else. The material point method wants a stress besides, which frames do
+not show: it gets the one by which each particle carries
 what lies above it, as fast as that is seen to fall (`carried`). So a heap neither drops until its weight is borne nor
 is blown up, and what falls freely is not pressed.
 """
@@ -20,34 +20,8 @@ from numpy.typing import NDArray
 from gns_pl.generation.solver import stepped_run
 from gns_pl.graph.context import context_fields
 from gns_pl.rollout.correction import points_of
-from gns_pl.rollout.engine import Run, static_of, unroll
-from gns_pl.simulator import Simulator
+from gns_pl.rollout.engine import static_of
 from gns_pl.trajectory import Trajectory
-
-
-def continued_by_simulator(simulator: Simulator, past: Trajectory, num_steps: int) -> Trajectory:
-    """Return a trajectory that a learned simulator goes on with.
-
-    Args:
-        simulator: makes the steps.
-        past: frames at its time step, the first that of the scene's start.
-        num_steps: frames to add; fewer come if they stop being finite.
-
-    Raises:
-        InputError: a trajectory that does not fit the simulator.
-    """
-    began, frames = time.perf_counter(), [past.position]
-    made = past.num_frames - 1
-    with torch.inference_mode():
-        for parts in unroll(simulator, [Run(past, num_steps, past.position, made)]):
-            if 0 in parts:
-                frames.append(parts[0].cpu().numpy()[None])
-    position = np.concatenate(frames)
-    provenance: dict[str, Any] = {"solver": "gns_pl.rollout.handover", "handed_over_at": made * past.dt}
-    if len(position) <= made + num_steps:
-        provenance["failed_at"] = len(position) * past.dt
-    provenance["wall_seconds"] = float(past.provenance.get("wall_seconds", 0.0)) + time.perf_counter() - began  # type: ignore[arg-type]
-    return replace(past, position=position, provenance=provenance)
 
 
 def continued_by_mpm(past: Trajectory, mpm: Mapping[str, Any], num_steps: int) -> Trajectory:

@@ -62,11 +62,7 @@ class SleepingStep:
     Args:
         simulator: whose steps these are; without gradients.
         speed: below which a particle is still [m/s].
-        halo: how far around what is awake messages are still passed, in connectivity radii. As many as the network has
-            message-passing steps, and what is awake moves as if the sleeping ones got their messages too; fewer are
-            cheaper.
-        step: what makes the simulator's steps in its place. Nobody looks into it, so it passes all messages, as a
-            network does that has one message for both ends of a pair.
+        step: what makes the simulator's steps in its place. Nobody looks into it, so it passes all messages.
 
     Whether somebody sleeps depends on the latest positions alone, so that a run that goes on later goes on as it was.
 
@@ -80,7 +76,6 @@ class SleepingStep:
         self,
         simulator: Simulator,
         speed: float,
-        halo: int = 1,
         step: Callable[[Tensor, Static], Tensor] | None = None,
     ) -> None:
         self.simulator = copy.copy(simulator)
@@ -89,10 +84,9 @@ class SleepingStep:
             self._step = simulator
         if self._step is None:
             self.simulator.search = self._find
-            if simulator.config.output != "pairs":
-                self.simulator._modules = dict(simulator._modules)
-                self.simulator._modules["network"] = _Awake(simulator.network, self)
-        self.speed, self.halo = speed, halo
+            self.simulator._modules = dict(simulator._modules)
+            self.simulator._modules["network"] = _Awake(simulator.network, self)
+        self.speed = speed
         self.awake = self.reached = torch.empty(0, dtype=torch.bool)
         self.history_length = max(simulator.config.input_sequence_length, STEPS + 1)
         self._moving = torch.empty(0, dtype=torch.bool)
@@ -114,9 +108,9 @@ class SleepingStep:
         """Search neighbours, and find out who sleeps."""
         edge_index: Tensor = self._search(*arguments, **settings)
         sender, receiver = edge_index
-        self.awake = self.reached = self._moving.index_fill(0, receiver[self._moving[sender]], True)
-        for _ in range(self.halo):
-            self.reached = self.reached.index_fill(0, sender[self.reached[receiver]], True)
+        self.awake = self._moving.index_fill(0, receiver[self._moving[sender]], True)
+        # Messages are passed one radius around what is awake: exact for two layers (docs/reductions.md).
+        self.reached = self.awake.index_fill(0, sender[self.awake[receiver]], True)
         return edge_index
 
 

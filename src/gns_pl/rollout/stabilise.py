@@ -1,7 +1,7 @@
 """What keeps a run within what sand can do, without touching the network: wrappers around a step, each to be had alone.
 
-Each undoes one way in which learned runs fail (`rollout.failure`): forces larger than any in training, particles on top
-of each other, energy out of nothing, heaps that never rest. docs/stability.md has what each is worth.
+Each undoes one way in which learned runs fail (`rollout.failure`): particles on top of each other, energy out of
+nothing, heaps that never rest. docs/stability.md has what each is worth.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ def stabilise(
     sleep: float = 0.0,
     least_distance: float = 0.0,
     passive: bool = False,
-    largest_force: float = 0.0,
     step: Step | None = None,
 ) -> Simulator:
     """Return a simulator that makes the same steps, where these stay within what sand can do.
@@ -47,14 +46,11 @@ def stabilise(
         least_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
         passive: a step that raises the energy of motion and height has its velocities scaled down, all of a scene's by
             one factor, until it does not.
-        largest_force: a − g of a particle is shortened to so many of the simulator's `acceleration_scale`; 0: as it is.
         step: what makes the simulator's steps in its place, as several processes do.
 
     Raises:
         InputError: a negative limit, or distances that no filling keeps.
     """
-    if not largest_force >= 0:
-        raise InputError(f"stabilise.largest_force must be 0 or more acceleration scales, not {largest_force}.")
     if not 0 <= least_distance < 1:
         raise InputError(f"stabilise.least_distance must lie in [0, 1) spacings, not {least_distance}.")
     if not sleep >= 0:
@@ -63,52 +59,38 @@ def stabilise(
         return simulator
     if sleep:
         step = SleepingStep(simulator, sleep, step=step)
-    if step is None and not (largest_force or least_distance or passive):
+    if step is None and not (least_distance or passive):
         return simulator
     stable = copy.copy(simulator)
-    stable.forward = StableStep(  # type: ignore[method-assign]
-        simulator, simulator if step is None else step, largest_force, least_distance, passive
-    )
+    made_by = simulator if step is None else step
+    stable.forward = StableStep(simulator, made_by, least_distance, passive)  # type: ignore[method-assign]
     return stable
 
 
 class StableStep:
-    """Steps of a simulator, corrected one after the other: forces, then distances, then energy.
+    """Steps of a simulator, corrected one after the other: distances, then energy.
 
     Args:
         simulator: whose steps these are; without gradients.
         step: makes them.
-        largest_force: as of `stabilise`.
         least_distance: as of `stabilise`.
         passive: as of `stabilise`.
     """
 
-    def __init__(
-        self, simulator: Simulator, step: Step, largest_force: float, least_distance: float, passive: bool
-    ) -> None:
+    def __init__(self, simulator: Simulator, step: Step, least_distance: float, passive: bool) -> None:
         self.simulator, self.step = simulator, step
-        self.largest_force, self.least_distance, self.passive = largest_force, least_distance, passive
+        self.least_distance, self.passive = least_distance, passive
         length = simulator.config.input_sequence_length
         self.history_length: int = getattr(step, "history_length", length)
 
     def __call__(self, history: Tensor, static: Static) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         position = self.step(history, static)
-        if self.largest_force:
-            position = self._clamped(history, position, static)
         if self.least_distance:
             position = self._apart(position, static)
         if self.passive:
             position = self._dissipating(history, position, static)
         return torch.where(static.moved[:, None], position, history[:, -1])
-
-    def _clamped(self, history: Tensor, position: Tensor, static: Static) -> Tensor:
-        """Shorten the force of a step to the largest that is allowed; what the walls have done stays."""
-        force = self.simulator.target(history, position, static)
-        size = force.norm(dim=1, keepdim=True)
-        scaled = force * (self.largest_force / size.clamp_min(self.largest_force))
-        allowed = self.simulator.integrate(history, scaled, static)
-        return torch.where(size > self.largest_force, allowed, position)
 
     def _apart(self, position: Tensor, static: Static) -> Tensor:
         """Move particles apart that are too close, each by half of what is missing, some times over."""

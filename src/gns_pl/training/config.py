@@ -67,8 +67,6 @@ class TrainingConfig:
         stride: frames of the data in a step of the simulator.
         start_repeats: how often a pass shows the windows while a trajectory sets out, up to its largest kinetic energy.
         moving_repeats: how often a pass shows the windows in which something moves.
-        distil_from: checkpoint of a larger simulator, a part of the target (`training.distillation`); None for none.
-        distil_share: that part.
         perturbation: noise.
         optimisation: the fit.
 
@@ -83,17 +81,12 @@ class TrainingConfig:
     stride: int
     start_repeats: int
     moving_repeats: int
-    distil_from: str | None
-    distil_share: float
     perturbation: Perturbation
     optimisation: Optimisation
 
     def __post_init__(self) -> None:
         _check("training", self, batch_size=1, num_workers=0, stride=1, start_repeats=1, moving_repeats=1)
         _check("training", self, memory_limit=0.0)
-        _check("training", self, distil_share=0.0)
-        if self.distil_share > 1:
-            raise InputError(f"training.distil_share is a part of the target, 0 to 1, not {self.distil_share}.")
         if self.num_train is not None:
             _check("training", self, num_train=1)
 

@@ -17,7 +17,6 @@ from gns_pl.frame_simulator import build_simulator, simulator_config
 from gns_pl.graph import Draws, Seen, Static
 from gns_pl.rollout import rollout
 from gns_pl.training.clock import Stopwatch
-from gns_pl.training.distillation import Elder
 from gns_pl.training.optimiser import MuonAndAdamW
 from gns_pl.training.perturbation import Perturbation
 from gns_pl.training.symmetry import sample_symmetry
@@ -58,7 +57,6 @@ class SimulatorModule(LightningModule):
         particles_per_window: mean number of moved particles of a window of the training set.
         seed: of the noise.
         provenance: stored in the checkpoint.
-        elder: a larger simulator that has a part in the targets; None for none.
     """
 
     def __init__(
@@ -71,10 +69,9 @@ class SimulatorModule(LightningModule):
         particles_per_window: float,
         seed: int,
         provenance: dict[str, Any],
-        elder: Elder | None = None,
     ) -> None:
         super().__init__()
-        self.save_hyperparameters(logger=False, ignore=["elder"])
+        self.save_hyperparameters(logger=False)
         self.simulator = build_simulator(simulator_config(model))
         self.perturb = Perturbation(**perturbation)
         self.optimisation = optimisation
@@ -82,7 +79,6 @@ class SimulatorModule(LightningModule):
         self.particles_per_window = particles_per_window
         self.seed = seed
         self.provenance = provenance
-        self.elder = elder
         self.seen: Seen | None = None  # set once the statistics are; stored in the checkpoint
 
     def training_step(self, batch: Data, batch_index: int) -> dict[str, Tensor]:
@@ -134,7 +130,6 @@ class SimulatorModule(LightningModule):
             static,
             restore=self.perturb.restore,
             loss=difference,
-            elder=self.elder,
         )
 
     def _unrolled(self, step: int) -> int:

@@ -30,7 +30,6 @@ from gns_pl.training.clock import cost_of
 from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, is_rank_zero, together
-from gns_pl.training.distillation import Elder
 from gns_pl.training.loggers import close_loggers, log_settings
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import alone_in, go_on, steps_made
@@ -196,10 +195,8 @@ def build_module(
         "particle_types": list(manifest.particle_types),
         "material_features": choose_features(settings["model"]["material_features"], manifest.material_features),
     }
-    model, elder = {**settings["model"], **of_data}, None
+    model = {**settings["model"], **of_data}
     datamodule.check_places(model["connectivity_radius"])
-    if training.distil_from is not None:
-        elder = Elder.read(training.distil_from, training.distil_share, simulator_config(model))
     module = SimulatorModule(
         model=model,
         data=settings["data"],
@@ -208,7 +205,6 @@ def build_module(
         particles_per_window=datamodule.train_set.mean_moved_particles(),
         seed=settings["seed"],
         provenance=provenance(settings, datamodule.directory),
-        elder=elder,
     )
     if training.stride == 1:
         moments = manifest.statistics

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from gns_pl.graph import Static
 from gns_pl.simulator import Simulator
-from gns_pl.training.distillation import Elder
 
 
 def unrolled_loss(
@@ -21,7 +20,6 @@ def unrolled_loss(
     *,
     restore: float,
     loss: Callable[[Tensor, Tensor], Tensor],
-    elder: Elder | None = None,
 ) -> Tensor:
     """Return the loss of U steps in a row, each from the positions the one before led to, gradients through all.
 
@@ -38,7 +36,6 @@ def unrolled_loss(
         static: the scenes.
         restore: κ.
         loss: of predicted and target normalised accelerations [N, D].
-        elder: has a part in every target; None for none.
 
     Returns:
         Mean over the U steps [].
@@ -48,8 +45,6 @@ def unrolled_loss(
     for step in range(steps):
         normalised = simulator.normalised_acceleration(history, static)
         target = simulator.target(history, goal, static)
-        if elder is not None:
-            target = elder.mixed(target, history, static, simulator.acceleration_scale)
         total = total + loss(normalised, target)
         if step + 1 < steps:
             position = simulator.integrate(history, normalised, static)

@@ -99,7 +99,7 @@ def make_entries(
     others: list[Way] = [*ways, *(LearnedWay(way_name(path), path, stabilise=stabilise) for path in given)]
     for way in others:
         if isinstance(way, HandedWay):
-            parts = [file_sha256(find_checkpoint(way.path)), way.first, way.until, way.finer, solver_version()]
+            parts = [file_sha256(find_checkpoint(way.path)), way.until, solver_version()]
             entries.append(Entry(way, "handed", hashed([*parts, dict(stabilise)]), for_choice=True))
         elif isinstance(way, LearnedWay):
             identity = hashed([file_sha256(find_checkpoint(way.path)), gns_pl.__version__, dict(stabilise)])
