@@ -10,7 +10,7 @@ from gns_pl.commands import job, start
 def main(cfg: DictConfig) -> None:
     """Convert with one config."""
     with job("convert.py", cfg):
-        from gns_pl.conversion.door import convert_config
+        from gns_pl.convert.door import convert_config
 
         convert_config(cfg)
 

@@ -20,9 +20,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gns_pl.checkpoint import load_simulator
-from gns_pl.evaluation.metrics import rollout_errors
 from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.metrics.summary import rollout_errors
+from gns_pl.models.checkpoint import load_simulator
 from gns_pl.rollout import rollout
 from gns_pl.training.summary import read_summary
 from gns_pl.trajectory import Trajectory

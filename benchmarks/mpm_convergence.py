@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.evaluation.curves import compute_curves
-from gns_pl.evaluation.measures import arrest_time
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.metrics.measures import arrest_time
 from gns_pl.mpm import MPMConfig, SimulationError, simulate
 from gns_pl.scene import FACES, Material, Scene, Wall, column_collapse
 

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gns_pl.evaluation.curves import compute_curves
-from gns_pl.evaluation.laws import LAWS, Law
-from gns_pl.evaluation.measures import arrest_time, percentile_front
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.metrics.laws import LAWS, Law
+from gns_pl.metrics.measures import arrest_time, percentile_front
 from gns_pl.mpm import MPMConfig, simulate
 from gns_pl.scene import FACES, Body, Box, Material, Scene, Wall, column_collapse, fill_scene
 

@@ -3,7 +3,7 @@
     python benchmarks/reductions.py                  # as in docs/reductions.md; the fine runs take minutes and are kept
     python benchmarks/reductions.py --threads 1 --kinds plane --columns 0.8 2.0
     python benchmarks/reductions.py --learned a.ckpt b.ckpt --corrected c.corrector --out mine.csv   # one's own
-    python benchmarks/reductions.py --records src/gns_pl/rollout/records.csv   # what simulate.py tolerance=… knows
+    python benchmarks/reductions.py --records src/gns_pl/solvers/records.csv   # what simulate.py tolerance=… knows
 
 Columns of a = 0.8, 1.2, 2.0 and 3.0 stand between smooth side walls ("plane", plane strain) and between the paper's
 rough ones ("space"). The reference is MPM on cells of 1/48 m: in three dimensions for a = 0.8 and 2.0, else on the
@@ -34,18 +34,18 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from gns_pl.evaluation.chart.baselines import extrapolate
 from gns_pl.evaluation.chart.converged import Converged, errors_of
 from gns_pl.evaluation.chart.rows import rendered
 from gns_pl.generation.reference import reference_trajectory
-from gns_pl.rollout.by_choice import make_ways
-from gns_pl.rollout.choice import Record
-from gns_pl.rollout.fitted import LearnedWay
-from gns_pl.rollout.measured_range import setup_text
-from gns_pl.rollout.reduction import Reduction, reduce_scene
-from gns_pl.rollout.ways import MPMWay, Way
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict
 from gns_pl.scene.extent import characteristic_time
+from gns_pl.solvers.catalogue import make_ways
+from gns_pl.solvers.learned import LearnedWay
+from gns_pl.solvers.measured_range import setup_text
+from gns_pl.solvers.reduction import Reduction, reduce_scene
+from gns_pl.solvers.selection import Record
+from gns_pl.solvers.solver import MPMWay, Way
+from gns_pl.solvers.trivial import extrapolate
 from gns_pl.trajectory import Trajectory
 
 COLUMNS = {  # a: L0, H0, box [m]

@@ -29,14 +29,14 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from gns_pl.evaluation.metrics import Measured
 from gns_pl.evaluation.placements import Placements
 from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.generation import reference_trajectory
 from gns_pl.io import file_sha256
 from gns_pl.machine import machine_name
-from gns_pl.pretrained import ALIASES, FOLDER, find_checkpoint, find_corrector
-from gns_pl.rollout.fitted import CorrectedWay, FittedWay, LearnedWay
+from gns_pl.metrics.summary import Measured
+from gns_pl.models.shipped import ALIASES, FOLDER, find_checkpoint, find_corrector
+from gns_pl.solvers.learned import CorrectedWay, FittedWay, LearnedWay
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results.csv"

@@ -36,12 +36,12 @@ from plain import concatenated_mlp
 from torch import Tensor, nn
 from torch_geometric.nn import MessagePassing
 
-import gns_pl.simulator
+import gns_pl.models.simulator
+from gns_pl.models.simulator import Simulator, SimulatorConfig
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.rollout.acceleration import CapturedStep, accelerate
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.scene import FACES, Material, Wall, column_collapse, fill_scene
-from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import start_trajectory
 
 SAND = Material(density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30, cohesion=100)
@@ -221,7 +221,10 @@ class Clock:
     @contextmanager
     def watching(self, simulator: Simulator) -> Iterator[None]:
         """Time the parts of the simulator's steps."""
-        module, before = gns_pl.simulator, (gns_pl.simulator.node_features, gns_pl.simulator.edge_features)
+        module, before = (
+            gns_pl.models.simulator,
+            (gns_pl.models.simulator.node_features, gns_pl.models.simulator.edge_features),
+        )
         search, network = simulator.search, simulator._modules["network"]
         forward = network.forward
         module.node_features, module.edge_features = (self.timed("features", each) for each in before)

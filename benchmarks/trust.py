@@ -22,15 +22,15 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import rankdata, spearmanr
 
-from gns_pl.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.evaluation.bands import ensemble_bands
-from gns_pl.evaluation.curves import compute_curves, cut
-from gns_pl.evaluation.measures import particle_spacing
 from gns_pl.generation import chosen_every, reference_trajectory, thin_trajectory
+from gns_pl.metrics.curves import compute_curves, cut
+from gns_pl.metrics.measures import particle_spacing
+from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.rollout import rollout
-from gns_pl.rollout.familiarity import familiarity
 from gns_pl.scene import Body, Material, Scene, Wall
 from gns_pl.scene.extent import characteristic_time
+from gns_pl.solvers.familiarity import familiarity
 from gns_pl.training.seen import add_seen
 
 SAND = Material(

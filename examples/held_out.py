@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gns_pl.checkpoint import load_checkpoint
-from gns_pl.evaluation.metrics import rollout_errors
 from gns_pl.generation import find_dataset
 from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.metrics.summary import rollout_errors
+from gns_pl.models.checkpoint import load_checkpoint
 from gns_pl.rollout import rollout
 
 ERRORS = ("position_error", "runout_99_error", "runout_99_difference", "mean_height_error")

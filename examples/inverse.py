@@ -23,11 +23,11 @@ import numpy as np
 import torch
 from inverse_page import WAYS, read_text, write_figure, write_page
 
-from gns_pl.checkpoint import Checkpoint, load_checkpoint
-from gns_pl.generation.solver import run_solver
 from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Fit, Problem, deposit_thickness, descend, solve, stroll
-from gns_pl.rollout.simulate import start_of
+from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
+from gns_pl.mpm.settings import run_solver
 from gns_pl.scene import Material, Scene, Wall, cube_drop
+from gns_pl.solvers.simulate import start_of
 
 STEPS = 60  # of 20 ms
 WIDTH = 0.05  # m, of the kernel; the particles are 0.031 m apart

@@ -13,9 +13,9 @@ import torch
 import torch.multiprocessing
 
 from gns_pl.graph import Draws, Static
+from gns_pl.models.simulator import Simulator, SimulatorConfig
 from gns_pl.scene import Material, Scene, Wall, column_collapse, cube_drop, fill_scene
 from gns_pl.scene.definition import FACES
-from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 torch.set_num_threads(1)  # the tensors are small, and the machine may be busy

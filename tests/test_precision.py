@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from gns_pl.checkpoint import load_checkpoint
-from gns_pl.corrector import Corrector, CorrectorConfig
 from gns_pl.data.statistics import RunningStatistics
+from gns_pl.models.checkpoint import load_checkpoint
+from gns_pl.models.corrector import Corrector, CorrectorConfig
 from gns_pl.mpm import MPMConfig, simulate
 from gns_pl.rollout import rollout, static_of
 from gns_pl.rollout.gradient import differentiable_rollout

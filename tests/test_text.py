@@ -1,12 +1,13 @@
 """Commands that are printed can be typed."""
 
+import math
 import shlex
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from gns_pl.text import file_label, override
+from gns_pl.text import file_label, number, override, percent, without_nan
 from gns_pl.training.resume import go_on
 from gns_pl.training.summary import summary_lines
 
@@ -51,3 +52,25 @@ def test_labels_of_files():
     assert file_label("a_[1, 2]", "b_x/y") == "a_1_2_b_x_y" and file_label() == ""
     long = [file_label(f"a_{'x' * 300}{last}") for last in "yz"]
     assert len(set(long)) == 2 and max(map(len, long)) < 120
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "–"), (0, "0"), (1.23456, "1.23"), (-0.012345, "-0.0123"), (1.2e-7, "1.20e-07"), (5678.9, "5679")],
+)
+def test_numbers_have_three_digits(value, text) -> None:
+    assert number(value) == text
+
+
+def test_relative_errors_have_a_sign() -> None:
+    assert percent(0.1234) == "+12.3 %"
+    assert percent(-0.5) == "-50.0 %"
+    assert percent(None) == ""
+
+
+def test_what_is_not_finite_becomes_null() -> None:
+    assert without_nan({"a": [1.0, math.nan], "b": {"c": math.inf, "d": "NaN"}, "e": 3}) == {
+        "a": [1.0, None],
+        "b": {"c": None, "d": "NaN"},
+        "e": 3,
+    }

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import functools
 import re
+import tomllib
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "src/gns_pl"
@@ -17,37 +18,21 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "commands": (),
     "scene": ("extent",),
     "trajectory": (),
-    "io": ("stream", "convert"),
-    "mpm": (),
+    "io": ("stream", "lock"),
+    "metrics": ("measures", "summary", "curves", "laws"),
+    "mpm": ("settings",),
+    "models": ("simulator", "geoelements", "corrector", "registry", "checkpoint", "shipped"),
     "generation": (),
-    "checkpoint": (),
-    "pretrained": (),
-    "simulator": (),
-    "frame_simulator": (),
-    "rollout": (
-        "simulate",
-        "gradient",
-        "acceleration",
-        "stabilise",
-        "rest",
-        "reduction",
-        "ways",
-        "fitted",
-        "choice",
-        "correction",
-        "familiarity",
-        "failure",
-        "distributed",
-    ),
-    "corrector": (),
-    "evaluation": ("evaluate", "measures", "metrics", "curves", "laws", "bands", "stress.suite", "chart.benchmark"),
+    "rollout": ("gradient", "acceleration", "stabilise", "rest", "failure", "distributed"),
+    "solvers": ("simulate", "solver", "learned", "selection", "reduction", "correction", "familiarity"),
+    "evaluation": ("evaluate", "bands", "stress.suite", "chart.benchmark"),
     "viz": (),
     "inverse": ("deposit", "problem", "fit"),
     "training": ("train", "config", "module", "correction", "sweep", "advice.advise"),
     "data": ("datamodule", "windows", "statistics", "survey"),
+    "convert": ("convert", "formats", "weights", "weights_export"),
     "graph": ("context",),
     "nn": ("mlp",),
-    "conversion": ("convert", "weights", "weights_export"),
     "fields": (),
     "errors": (),
     "machine": (),
@@ -82,12 +67,26 @@ def api_page(room: str) -> str:
     return "\n".join(blocks)
 
 
+def first_sentence(room: str) -> str:
+    """Return the first sentence that a room says of itself."""
+    return (ast.get_docstring(read_module(room)) or "").partition("\n\n")[0].replace("\n", " ")
+
+
+def floors_table() -> list[str]:
+    """Return CONTRIBUTING's table of floors, from the import contract in pyproject.toml, the ground floor last."""
+    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
+    (contract,) = project["tool"]["importlinter"]["contracts"]
+    rows = ["| floor | room | what it is for |", "|---|---|---|"]
+    for floor, rooms in zip(reversed(range(len(contract["layers"]))), contract["layers"], strict=True):
+        rows += [f"| {floor} | `{room}` | {first_sentence(room)} |" for room in rooms.split(" | ")]
+    return rows
+
+
 def api_index() -> str:
     """Return the first page of the reference: every room and the first sentence that it says of itself."""
     rows = ["# API", "", ast.get_docstring(read_module("__init__")) or "", "", "| room | |", "|---|---|"]
     for room in ROOMS:
-        first = (ast.get_docstring(read_module(room)) or "").partition("\n\n")[0].replace("\n", " ")
-        rows.append(f"| [`gns_pl.{room}`]({room}.md) | {first} |")
+        rows.append(f"| [`gns_pl.{room}`]({room}.md) | {first_sentence(room)} |")
     return "\n".join(rows) + "\n"
 
 

@@ -1,16 +1,18 @@
-"""What is printed for people to read and to type: commands that a shell and Hydra take as they are meant.
+"""What is printed for people to read and to type: numbers, times, overrides that shell and Hydra read as meant.
 
 Only text from plain values belongs here; nothing that knows a scene, a run or a file's content.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Iterable
 from difflib import SequenceMatcher
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 PLAIN = re.compile(r"(?!(?i:null|true|false|[+-]?(nan|inf|[0-9._]+(e[+-]?[0-9_]+)?))$)[A-Za-z0-9_./:+%@-]+")
 """Values that Hydra's grammar reads as they stand, as text; everything else is quoted."""
@@ -83,3 +85,43 @@ def did_you_mean(name: str, known: Iterable[str], *, dotted: bool = False) -> st
     """Return " (did you mean X?)" with the most similar of the known names, or nothing; arguments as of `nearest`."""
     found = nearest(name, known, dotted=dotted)
     return f" (did you mean {' or '.join(found)}?)" if found else ""
+
+
+def number(value: float | None, std: float | None = None) -> str:
+    """Return three significant digits, "–" for None; with one of a standard deviation behind "±"."""
+    if value is None:
+        return "–"
+    after = f" ± {std:.1g}" if std else ""
+    if value == 0:
+        return f"0{after}"
+    plain = f"{value:.2e}" if not 1e-3 <= abs(value) < 1e5 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return plain + after
+
+
+def percent(value: float | None, std: float | None = None) -> str:
+    """Return a relative error in per cent with its sign, "" for None; with a standard deviation behind "±"."""
+    if value is None:
+        return ""
+    return f"{100 * value:+.1f}{'' if std is None else f' ± {100 * std:.1f}'} %"
+
+
+def without_nan(value: Any) -> Any:
+    """Return `value` with every float that is not finite replaced by None, through dicts and lists."""
+    if isinstance(value, dict):
+        return {key: without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [without_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def seconds(value: float) -> str:
+    """Return a time with its unit."""
+    if value != value:
+        return "unknown"
+    if value == float("inf"):
+        return "never"
+    if value < 1e-4:
+        return f"{1e6 * value:.2g} µs"
+    if value < 0.01:
+        return f"{1e3 * value:.2g} ms"
+    return f"{value:.3g} s" if value < 600 else f"{value / 60:.3g} min"

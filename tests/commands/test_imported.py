@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
-from gns_pl.checkpoint import load_checkpoint, load_simulator
 from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.models.checkpoint import load_checkpoint, load_simulator
 from tests.commands.in_process import ROOT, call
 from tests.commands.test_train import read_rows
-from tests.conversion.test_weights import a_state, random_weights
-from tests.io.convert import fixtures
+from tests.convert.formats import fixtures
+from tests.convert.test_weights import a_state, random_weights
 
 SMALL = [
     "model=small", "model.latent_size=8", "model.num_message_passing_steps=1", "model.connectivity_radius=0.15",

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gns_pl.checkpoint import Checkpoint, save_checkpoint
-from gns_pl.evaluation.curves import compute_curves
 from gns_pl.io import read_trajectory
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from tests.commands.test_train import ROOT
 from tests.commands.typed import typed
 from tests.conftest import make_simulator

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from gns_pl.checkpoint import load_checkpoint
+from gns_pl.models.checkpoint import load_checkpoint
 from gns_pl.training.summary import read_summary
 from tests.commands.in_process import ROOT, call
 from tests.training.conftest import TINY, assert_same

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gns_pl.data.places import advised_radius, check_inside, check_neighbours, check_reach, check_set
+from gns_pl.data.places import check_inside, check_neighbours, check_reach, check_set
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
+from gns_pl.graph.radius import advised_radius
 from gns_pl.rollout.engine import Run, check_run
 from gns_pl.trajectory import Trajectory
 from tests.conftest import make_simulator

@@ -89,4 +89,12 @@ def test_units_in_docstrings_are_not_references() -> None:
     pytest.importorskip("griffe")
     style = importlib.import_module("docstrings")
     assert style.plain_brackets("position: [N, D] [m], `a[0][1]`") == r"position: [N, D] \[m], `a[0][1]`"
-    assert style.plain_brackets("[step][gns_pl.simulator]") == "[step][gns_pl.simulator]"
+    assert style.plain_brackets("[step][gns_pl.models.simulator]") == "[step][gns_pl.models.simulator]"
+
+
+def test_contributing_shows_the_floors_of_the_import_contract() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    shown = text[text.index("<!-- floors -->\n") : text.index("<!-- /floors -->")].splitlines()[1:]
+    table = rooms.floors_table()
+    assert shown == table, "\n".join(["CONTRIBUTING.md must hold", *table])
+    assert {row.split("`")[1] for row in table[2:]} == set(rooms.ROOMS)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gns_pl.checkpoint import Checkpoint
 from gns_pl.evaluation.bands import ensemble_bands
-from gns_pl.evaluation.curves import compute_curves
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.rollout import rollout
 from gns_pl.scene import Scene
 from tests.conftest import make_simulator, make_start

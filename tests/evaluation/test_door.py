@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.evaluation.doors import default_folder, named_checkpoints
-from gns_pl.pretrained import FOLDER
+from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
+from gns_pl.models.shipped import FOLDER
 from tests.commands.in_process import call
 from tests.conftest import make_simulator
 from tests.evaluation.test_scenes import DATA

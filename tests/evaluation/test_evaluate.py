@@ -12,20 +12,19 @@ import torch
 from PIL import Image
 
 import gns_pl.rollout
-from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation import evaluate as module
 from gns_pl.evaluation import references as module_references
-from gns_pl.evaluation import tracking
-from gns_pl.evaluation.curves import CURVES, compute_curves, cut, read_curves
 from gns_pl.evaluation.evaluate import evaluate_all
 from gns_pl.evaluation.figures import of_columns
-from gns_pl.evaluation.measures import position_mse, rollout_mse
-from gns_pl.evaluation.metrics import COMPARISON, SUMMARY, profile_l1, summarise
 from gns_pl.evaluation.tracking import _table
-from gns_pl.io import read_trajectory
-from gns_pl.rollout.fitted import start_of
+from gns_pl.io import read_trajectory, tracking
+from gns_pl.metrics.curves import CURVES, compute_curves, cut, read_curves
+from gns_pl.metrics.measures import position_mse, rollout_mse
+from gns_pl.metrics.summary import COMPARISON, SUMMARY, profile_l1, summarise
+from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.scene import scene_from_dict, write_scene
+from gns_pl.solvers.learned import start_of
 from tests.conftest import make_simulator
 from tests.evaluation.made_up import column, spreading
 from tests.evaluation.test_scenes import DATA

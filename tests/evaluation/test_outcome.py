@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gns_pl.evaluation.curves import compute_curves
 from gns_pl.evaluation.outcome import distance_from_bodies, outcome_of, read_outcome
 from gns_pl.io import write_trajectory
+from gns_pl.metrics.curves import compute_curves
 from gns_pl.scene import Body, Scene
 from gns_pl.trajectory import Trajectory
 from tests.evaluation.made_up import DT, HEIGHT, LENGTH, SPACING, column, moved, spreading, standing

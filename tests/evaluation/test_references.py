@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gns_pl.checkpoint import Checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation import references
 from gns_pl.evaluation.evaluate import with_data
-from gns_pl.evaluation.metrics import Measured
 from gns_pl.evaluation.references import reference_of, resolution_spread, stored_references
 from gns_pl.generation import generate_dataset
+from gns_pl.metrics.summary import Measured
+from gns_pl.models.checkpoint import Checkpoint
 from tests.conftest import MPM as mpm_settings
 from tests.conftest import make_simulator
 from tests.evaluation.made_up import SPACING, column, spreading

@@ -12,11 +12,11 @@ from omegaconf import DictConfig
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation import references, solver_alone
-from gns_pl.evaluation.curves import read_curves
 from gns_pl.evaluation.evaluate import evaluate_config
 from gns_pl.evaluation.run_report import ReportedRun, write_report
 from gns_pl.evaluation.simulation import simulate_and_describe
 from gns_pl.io import read_trajectory
+from gns_pl.metrics.curves import read_curves
 from gns_pl.scene import FACES, Body, Scene, Wall, write_scene
 from tests.evaluation.made_up import column, spreading, standing
 

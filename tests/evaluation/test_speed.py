@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 import gns_pl.rollout
-import gns_pl.rollout.ways
-from gns_pl.checkpoint import Checkpoint
+import gns_pl.solvers.solver
 from gns_pl.evaluation import speed
-from gns_pl.evaluation.curves import compute_curves
-from gns_pl.evaluation.metrics import Measured
 from gns_pl.evaluation.references import Reference
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.metrics.summary import Measured
+from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.mpm.config import SimulationError
 from gns_pl.trajectory import Trajectory
 from tests.conftest import make_simulator
@@ -39,7 +39,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
     class MPM:
         def __init__(self, name: str, cells: float, settings: dict[str, Any]) -> None:
-            self.cell = round(gns_pl.rollout.ways.characteristic_size(column()) / cells, 4)
+            self.cell = round(gns_pl.solvers.solver.characteristic_size(column()) / cells, 4)
 
         def run(self, scene: Any, *, interval: float, seed: int) -> Trajectory:
             clock.calls.append((self.cell, round(scene.duration / interval), seed))
@@ -55,7 +55,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
         return replace(start, provenance=made)
 
     monkeypatch.setattr(speed, "perf_counter", clock)
-    monkeypatch.setattr(gns_pl.rollout.ways, "MPMWay", MPM)
+    monkeypatch.setattr(gns_pl.solvers.solver, "MPMWay", MPM)
     monkeypatch.setattr(gns_pl.rollout, "rollout", rollout)
     return clock
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gns_pl.generation import solver
+from gns_pl.mpm import settings as solver
 from tests.generation.fake import fake_solver
 
 

@@ -10,8 +10,9 @@ import signal
 import sys
 from pathlib import Path
 
-from gns_pl.generation import generate_dataset, produce, solver
+from gns_pl.generation import generate_dataset, produce
 from gns_pl.io import write_trajectory
+from gns_pl.mpm import settings as solver
 from gns_pl.trajectory import Trajectory
 from tests.generation.fake import fake_solver, make_thinned_spec
 

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from gns_pl.errors import told_plainly
-from gns_pl.generation import generate_dataset, solver
+from gns_pl.generation import generate_dataset
+from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene, fill_scene
 from gns_pl.trajectory import Trajectory, start_trajectory
 

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.generation import batches, generate_dataset, solver
+from gns_pl.generation import batches, generate_dataset
 from gns_pl.generation.batches import group
 from gns_pl.io import StorageError, read_trajectory, verify_dataset
+from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 from tests.generation.fake import fake_batch, fake_solver, make_spec, make_thinned_spec

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.generation import generate_dataset, solver
-from gns_pl.generation.lock import locked
+from gns_pl.generation import generate_dataset
 from gns_pl.generation.progress import readable_time
 from gns_pl.generation.records import first_difference
 from gns_pl.io import StorageError, file_sha256, read_manifest, read_trajectory, verify_dataset
+from gns_pl.io.lock import locked
+from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 from tests.generation.fake import DROPS, MPM, fake_solver, make_spec

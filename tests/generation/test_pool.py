@@ -7,7 +7,8 @@ import os
 
 import pytest
 
-from gns_pl.generation.pool import Failure, available_cores, run_jobs
+from gns_pl.generation.pool import Failure, run_jobs
+from gns_pl.machine import available_cores
 from tests.generation.jobs import work
 
 

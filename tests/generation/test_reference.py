@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.generation import reference_trajectory, solver
+from gns_pl.generation import reference_trajectory
+from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 from tests.generation.fake import MPM, fake_solver

@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 
 from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, Planned, chosen_every, draw_plan
-from gns_pl.generation.solver import solver_config
+from gns_pl.mpm.settings import solver_config
 from gns_pl.scene import fill_scene
 from tests.generation.fake import BLOCKS, DROPS, MPM, make_spec
 

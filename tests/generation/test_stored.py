@@ -14,10 +14,11 @@ import pytest
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
-from gns_pl.generation import DatasetSpec, draw_plan, generate_dataset, solver
+from gns_pl.generation import DatasetSpec, draw_plan, generate_dataset
 from gns_pl.generation.records import read_timings
-from gns_pl.generation.solver import place_points
 from gns_pl.io import read_header, read_manifest, read_trajectory, verify_dataset
+from gns_pl.mpm import settings as solver
+from gns_pl.mpm.settings import place_points
 from tests.generation.fake import DROPS, FINE, fake_solver, make_spec, make_thinned_spec
 from tests.generation.test_dataset import sums, times
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.generation.solver import place_points
 from gns_pl.generation.thinning import kept_points, stored_counts, thin_trajectory
+from gns_pl.mpm.settings import place_points
 from gns_pl.scene import Body, Box, Material, Plane, Scene, Wall
 from gns_pl.trajectory import Trajectory
 from tests.generation.fake import FINE, fake_solver

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from gns_pl.checkpoint import load_checkpoint
+from gns_pl.models.checkpoint import load_checkpoint
 
 ROOT = Path(__file__).parents[2]
 

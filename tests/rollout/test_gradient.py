@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gns_pl.evaluation.measures import percentile_front
+from gns_pl.metrics.measures import percentile_front
 from gns_pl.rollout import rollout, static_of
 from gns_pl.rollout.gradient import differentiable_front, differentiable_rollout
 from gns_pl.scene import Scene

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from gns_pl.errors import InputError
+from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import Run, rollout, unroll
 from gns_pl.rollout.engine import history_of, static_of
 from gns_pl.rollout.rest import STEPS, Rest, SleepingStep
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
-from gns_pl.simulator import Simulator
 from gns_pl.trajectory import Trajectory
 from tests.conftest import SAND, make_simulator, make_start
 

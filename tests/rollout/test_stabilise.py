@@ -10,12 +10,12 @@ import torch
 from scipy.spatial import cKDTree
 
 from gns_pl.errors import InputError
+from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import Run, rollout
 from gns_pl.rollout.engine import history_of, static_of
 from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import Scene
-from gns_pl.simulator import Simulator
 from tests.conftest import make_simulator, make_start
 
 

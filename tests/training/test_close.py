@@ -13,7 +13,7 @@ import torch
 from omegaconf import open_dict
 from PIL import Image
 
-from gns_pl.checkpoint import load_checkpoint
+from gns_pl.models.checkpoint import load_checkpoint
 from gns_pl.training.close import best_validation
 from gns_pl.training.history import History, read_history
 from gns_pl.training.resume import find_resume

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from gns_pl.corrector import Corrector, CorrectorConfig, load_corrector
 from gns_pl.errors import InputError
-from gns_pl.generation.solver import run_solver
 from gns_pl.generation.thinning import thin_trajectory
+from gns_pl.models.corrector import Corrector, CorrectorConfig, load_corrector
+from gns_pl.mpm.settings import run_solver
 from gns_pl.rollout import static_of
-from gns_pl.rollout.correction import corrected_run, followed_run
-from gns_pl.rollout.fitted import CorrectedWay
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
+from gns_pl.solvers.correction import corrected_run, followed_run
+from gns_pl.solvers.learned import CorrectedWay
 from gns_pl.training.correction import CorrectionModule, fit_corrector, make_examples, runout_errors
 from gns_pl.trajectory import Trajectory
 from tests.conftest import MPM, SAND

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from gns_pl.checkpoint import KEY, Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.generation import generate_dataset
+from gns_pl.models.checkpoint import KEY, Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.training.seen import add_seen
 from gns_pl.training.train import train
 from tests.conftest import make_simulator

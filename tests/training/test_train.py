@@ -10,9 +10,9 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from gns_pl.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.training.loggers import make_loggers
 from gns_pl.training.module import learning_rate_factor
 from gns_pl.training.resume import find_resume

@@ -21,7 +21,7 @@ from benchmarks.mpm_validation import (
     settings,
 )
 
-from gns_pl.evaluation.curves import compute_curves
+from gns_pl.metrics.curves import compute_curves
 from gns_pl.mpm import simulate
 from gns_pl.scene import FACES, Body, Wall, column_collapse
 from tests.mpm.conftest import make_box, make_elastic, make_mpm, make_sand

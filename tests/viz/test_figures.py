@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gns_pl.evaluation.curves import compute_curves, cut
-from gns_pl.evaluation.laws import LAWS
 from gns_pl.fields import ParticleType
+from gns_pl.metrics.curves import compute_curves, cut
+from gns_pl.metrics.laws import LAWS
 from gns_pl.scene import Body, Box, Plane, Scene, Wall
 from gns_pl.scene.definition import FACES
 from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation

@@ -89,9 +89,9 @@ def measured(path: Path) -> dict[str, str]:
     """Return how a trajectory ended, as text: time, runout, height and status."""
     import numpy as np
 
-    from gns_pl.evaluation.curves import mobile
-    from gns_pl.evaluation.measures import particle_spacing, percentile_front
     from gns_pl.io import read_trajectory
+    from gns_pl.metrics.curves import mobile
+    from gns_pl.metrics.measures import particle_spacing, percentile_front
 
     flow = mobile(read_trajectory(path))
     distance = flow.position[[0, -1]].astype(np.float64) - np.array(flow.scene.lower)

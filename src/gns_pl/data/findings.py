@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gns_pl.data.places import RADIUS
+from gns_pl.graph.radius import RADIUS
 
 SPEED_AT_REST = 0.01
 """What is slower than this counts as at rest [m/s]."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gns_pl.data.probes import neighbour_counts
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
+from gns_pl.graph.radius import advised_radius
 from gns_pl.io import read_header, read_static, read_window
 from gns_pl.scene import Scene
 from gns_pl.scene.origin import check_coarseness
@@ -30,17 +31,8 @@ NEIGHBOURS = (1.0, 1000.0)
 """Least and largest mean number of neighbours that is trained with; a usual radius has about 10 in the plane, 30 in
 space. Beyond these the radius or the unit of length is a mistake: no forces, or more edges than any memory holds."""
 
-RADIUS = 2.1
-"""Radius that is advised, in spacings. A lattice has pairs at 2 and at √5 spacings and none between, so that rounding
-decides about none."""
-
 MOST_FILES, MOST_QUERIES = 200, 100
 """Trajectories that are looked at, and particles of a frame whose neighbours are counted."""
-
-
-def advised_radius(spacing: float) -> float:
-    """Return a connectivity radius for particles of a spacing, to three digits [m]."""
-    return float(f"{RADIUS * spacing:.3g}")
 
 
 @dataclass

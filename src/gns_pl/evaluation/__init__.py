@@ -1,10 +1,4 @@
-"""Judge trajectories: measures, curves, errors of a rollout, and the evaluation of a checkpoint against the MPM.
+"""Judge solvers: a checkpoint against the material point method on one page, the stress suite, the chart.
 
-`measures`, `curves` and `metrics` are pure NumPy; `evaluate` brings the simulators, the files and the figures together.
-Nothing here changes a simulator.
+`evaluate` brings solvers, files and figures together. Nothing here changes a simulator.
 """
-
-from gns_pl.evaluation.curves import compute_curves
-from gns_pl.evaluation.metrics import rollout_errors, summarise
-
-__all__ = ["compute_curves", "rollout_errors", "summarise"]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gns_pl.checkpoint import Checkpoint
-from gns_pl.evaluation.curves import compute_curves
-from gns_pl.evaluation.measures import Floats
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.metrics.measures import Floats
+from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.rollout import rollout
 from gns_pl.trajectory import Trajectory
 
@@ -63,7 +63,7 @@ def ensemble_bands(
 
     Args:
         checkpoints: several trainings, or one; snapshots of one training are too much alike (docs/trust.md).
-        starts: one scene placed once or several times (`rollout.fitted.start_of` with several seeds), one frame each.
+        starts: one scene placed once or several times (`solvers.learned.start_of` with several seeds), one frame each.
         duration: to the last frame [s].
         name: in `CURVES`.
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gns_pl.errors import InputError
-from gns_pl.pretrained import existing_checkpoint, find_corrector, is_corrector
+from gns_pl.models.shipped import existing_checkpoint, find_corrector, is_corrector
 from gns_pl.text import override
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError, tolerated
-from gns_pl.evaluation.curves import cut, write_curves
 from gns_pl.evaluation.doors import check_figures, check_space, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.judge import SceneResult, judge_scene
 from gns_pl.evaluation.scenes import build_scenes, chosen
+from gns_pl.metrics.curves import cut, write_curves
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from gns_pl.checkpoint import Checkpoint
     from gns_pl.evaluation.references import Reference
+    from gns_pl.models.checkpoint import Checkpoint
 
 
 def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, Any]]:
@@ -159,11 +159,11 @@ def evaluate(
     Raises:
         InputError: a checkpoint, a scene or a folder that cannot be used.
     """
-    from gns_pl.checkpoint import load_checkpoint, move
     from gns_pl.evaluation import report
     from gns_pl.evaluation.references import STARTS, reference_of, stored_references
-    from gns_pl.frame_simulator import cold_start
-    from gns_pl.rollout.fitted import plane_of
+    from gns_pl.models.checkpoint import load_checkpoint, move
+    from gns_pl.models.geoelements import cold_start
+    from gns_pl.solvers.learned import plane_of
 
     if film not in (None, "mp4", "gif"):
         raise InputError(f"evaluation.film must be mp4, gif or null, not {film!r}.")

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gns_pl.evaluation.laws import LAWS
-from gns_pl.evaluation.measures import particle_spacing
+from gns_pl.metrics.laws import LAWS
+from gns_pl.metrics.measures import particle_spacing
 from gns_pl.scene.extent import characteristic_time
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def draw(
     Returns:
         Paths of the files.
     """
-    from gns_pl.rollout.familiarity import LIMIT
+    from gns_pl.solvers.familiarity import LIMIT
     from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
 
     curves = {name: {TITLES[key]: values for key, values in result.curves.items()} for name, result in results.items()}

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gns_pl.evaluation.curves import Curves, compute_curves, cut, num_finite_frames
-from gns_pl.evaluation.measures import particle_spacing
-from gns_pl.evaluation.metrics import COMPARISON, FLOW, SUMMARY, compare
 from gns_pl.evaluation.placements import Band, Placements
+from gns_pl.metrics.curves import Curves, compute_curves, cut, num_finite_frames
+from gns_pl.metrics.measures import particle_spacing
+from gns_pl.metrics.summary import COMPARISON, FLOW, SUMMARY, compare
 from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from gns_pl.checkpoint import Checkpoint
     from gns_pl.evaluation.references import Reference
-    from gns_pl.rollout.familiarity import Familiarity
+    from gns_pl.models.checkpoint import Checkpoint
+    from gns_pl.solvers.familiarity import Familiarity
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ def judge_scene(
     from gns_pl.data.places import check_reach
     from gns_pl.rollout import rollout
     from gns_pl.rollout.failure import first_failure
-    from gns_pl.rollout.familiarity import familiarity
     from gns_pl.rollout.progress import counting
     from gns_pl.rollout.stabilise import stabilise as stabilised
+    from gns_pl.solvers.familiarity import familiarity
 
     simulator = stabilised(checkpoint.simulator, **(stabilise or {}))
     truth, whole = reference.trajectory, reference.whole

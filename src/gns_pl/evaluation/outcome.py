@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.evaluation.curves import mobile
 from gns_pl.evaluation.figures import is_column
-from gns_pl.evaluation.measures import Floats, arrest_time, percentile_front
 from gns_pl.fields import ParticleType
 from gns_pl.io import open_trajectory, read_header, read_static, read_window
+from gns_pl.metrics.curves import mobile
+from gns_pl.metrics.measures import Floats, arrest_time, percentile_front
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 

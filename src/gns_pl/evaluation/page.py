@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gns_pl.evaluation.report import NOTE, describe, describe_start, header, number, percent, scene_rows
+from gns_pl.evaluation.report import NOTE, describe, describe_start, header, scene_rows
 from gns_pl.evaluation.speed import speed_sentence
 from gns_pl.io import atomic_path
+from gns_pl.text import number, percent
 
 TEMPLATE = "report.html"
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.evaluation.curves import CURVES, Curves, cut, num_finite_frames
-from gns_pl.evaluation.measures import Floats
-from gns_pl.evaluation.metrics import FLOW, Measured, flow_errors
+from gns_pl.metrics.curves import CURVES, Curves, cut, num_finite_frames
+from gns_pl.metrics.measures import Floats
+from gns_pl.metrics.summary import FLOW, Measured, flow_errors
 from gns_pl.trajectory import Trajectory
 
 Band = tuple[Floats, Floats]

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.checkpoint import Checkpoint
 from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
-from gns_pl.evaluation.measures import particle_spacing, sinkhorn_distance
-from gns_pl.evaluation.metrics import Measured, profile_l1, summarise
 from gns_pl.generation import chosen_every, is_imported, reference_trajectory, thin_trajectory
 from gns_pl.io import MANIFEST_NAME, read_manifest, read_trajectory
-from gns_pl.rollout.fitted import start_of
+from gns_pl.metrics.measures import particle_spacing, sinkhorn_distance
+from gns_pl.metrics.summary import Measured, profile_l1, summarise
+from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import compression_notice
+from gns_pl.solvers.learned import start_of
 from gns_pl.text import override
 from gns_pl.trajectory import Trajectory
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 import shlex
 import sys
@@ -14,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from gns_pl import __version__
 from gns_pl.machine import machine_name
+from gns_pl.text import number, percent, without_nan
 
 if TYPE_CHECKING:
-    from gns_pl.checkpoint import Checkpoint
+    from gns_pl.models.checkpoint import Checkpoint
 
 FORMAT = "gns_pl evaluation"
 FORMAT_VERSION = 3
@@ -101,15 +101,6 @@ def run() -> dict[str, Any]:
         "python": platform.python_version(),
         "versions": {name: version(name) for name in packages},
     }
-
-
-def without_nan(value: Any) -> Any:
-    """Return `value` with every float that is not finite replaced by None, through dicts and lists."""
-    if isinstance(value, dict):
-        return {key: without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [without_nan(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _plain(value: Any) -> Any:
@@ -218,24 +209,6 @@ def spread(scene: Mapping[str, Any], key: str) -> str:
     """Return by how much MPM itself changes a number on other cells, "" where that was not run."""
     value = scene["reference_spread"].get(key)
     return "" if value is None else number(value)
-
-
-def number(value: float | None, std: float | None = None) -> str:
-    """Return three significant digits, "–" for None; with one of a standard deviation behind "±"."""
-    if value is None:
-        return "–"
-    after = f" ± {std:.1g}" if std else ""
-    if value == 0:
-        return f"0{after}"
-    plain = f"{value:.2e}" if not 1e-3 <= abs(value) < 1e5 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-    return plain + after
-
-
-def percent(value: float | None, std: float | None = None) -> str:
-    """Return a relative error in per cent with its sign, "" for None; with a standard deviation behind "±"."""
-    if value is None:
-        return ""
-    return f"{100 * value:+.1f}{'' if std is None else f' ± {100 * std:.1f}'} %"
 
 
 def show(content: Mapping[str, Any]) -> None:

@@ -15,12 +15,13 @@ from typing import Any
 from gns_pl import __version__
 from gns_pl.errors import InputError
 from gns_pl.evaluation import report
-from gns_pl.evaluation.curves import Curves, compute_curves, mobile, write_curves
 from gns_pl.evaluation.doors import check_figures, check_space, make_folder
-from gns_pl.evaluation.metrics import summarise
 from gns_pl.evaluation.outcome import Outcome, outcome_of
 from gns_pl.io.atomic import write_atomically
+from gns_pl.metrics.curves import Curves, compute_curves, mobile, write_curves
+from gns_pl.metrics.summary import summarise
 from gns_pl.scene.extent import characteristic_time
+from gns_pl.text import number, without_nan
 from gns_pl.trajectory import Trajectory
 
 TEMPLATE = "run_report.html"
@@ -121,7 +122,7 @@ def write_report(
         "run": report.run(),
         "scenes": scenes,
     }
-    plain = report.without_nan(json.loads(json.dumps(content, default=str)))
+    plain = without_nan(json.loads(json.dumps(content, default=str)))
     text = json.dumps(plain, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     write_atomically(out / "metrics.json", text.encode())
     write_atomically(out / "report.html", _page(plain, runs, out).encode())
@@ -181,7 +182,7 @@ def summary_rows(scene: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if not summary:
         return []
     return [
-        (label, report.number(summary[key]), report.number(spread[key]) if key in spread else "")
+        (label, number(summary[key]), number(spread[key]) if key in spread else "")
         for label, key, _ in report.ROWS
         if key in summary
     ]

@@ -34,7 +34,7 @@ def simulate_and_describe(cfg: DictConfig, *, label: str = "") -> list[Path]:
     if wanted:
         keys = ("figures", "film", "paraview")
         check_reporting(**{key: reporting[key] for key in keys}, key="reporting")
-    from gns_pl.rollout.simulate import simulate_config
+    from gns_pl.solvers.simulate import simulate_config
 
     paths = simulate_config(cfg, label=label)
     # Of several processes that torchrun has started the first describes.
@@ -67,7 +67,7 @@ def compare_with_check(path: Path, tolerance: float | None) -> None:
         path: of the run.
         tolerance: of the final runout, relative, that was asked for; None if none was.
     """
-    from gns_pl.rollout.by_choice import CHECK_CELLS, check_path
+    from gns_pl.solvers.catalogue import CHECK_CELLS, check_path
 
     coarser = check_path(path)
     if not coarser.is_file():

@@ -8,15 +8,15 @@ from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.doors import default_folder, named_checkpoints
-from gns_pl.evaluation.metrics import Measured
 from gns_pl.evaluation.outcome import outcome_of
 from gns_pl.evaluation.references import resolution_spread
 from gns_pl.evaluation.run_report import ReportedRun, check_reporting, report_lines, write_report
 from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.generation import reference_trajectory
-from gns_pl.rollout.ways import MPMWay
+from gns_pl.metrics.summary import Measured
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import compression_notice
+from gns_pl.solvers.solver import MPMWay
 
 REPORTING = ("figures", "snapshots", "animation", "film", "paraview")
 """Keys of an evaluation that say what is drawn."""
@@ -83,7 +83,7 @@ def evaluate_mpm(settings: Mapping[str, Any], label: str = "") -> dict[str, Repo
 
 def _of_checkpoint(ckpt: str) -> tuple[dict[str, Any], float, Path]:
     """Return the data's specification, the time step and the folder of a checkpoint."""
-    from gns_pl.checkpoint import load_checkpoint
+    from gns_pl.models.checkpoint import load_checkpoint
 
     checkpoints = named_checkpoints([ckpt])
     [path] = checkpoints.values()

@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from gns_pl.evaluation.curves import cut
-from gns_pl.evaluation.metrics import MINIMAL_RUNOUT, Measured
+from gns_pl.metrics.curves import cut
+from gns_pl.metrics.summary import MINIMAL_RUNOUT, Measured
 
 if TYPE_CHECKING:
-    from gns_pl.checkpoint import Checkpoint
     from gns_pl.evaluation.references import Reference
+    from gns_pl.models.checkpoint import Checkpoint
 
 SIZES = (3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.0)
 """Cells of the MPM runs that are tried, over those of the data, the cheapest first."""
@@ -50,7 +50,7 @@ def measure_speed(
     from gns_pl.mpm.config import SimulationError
     from gns_pl.rollout import rollout
     from gns_pl.rollout.stabilise import stabilise as stabilised
-    from gns_pl.rollout.ways import MPMWay, characteristic_size
+    from gns_pl.solvers.solver import MPMWay, characteristic_size
 
     whole, known = reference.whole, [error for error in errors if error is not None and math.isfinite(error)]
     truth = whole.summary["runout_99"]
@@ -107,7 +107,7 @@ def root_mean_square(values: Sequence[float]) -> float:
 
 def speed_sentence(scene: Mapping[str, Any]) -> str:
     """Return what the times of a scene mean: a ratio only where both were measured for it (`measure_speed`)."""
-    from gns_pl.evaluation.report import number
+    from gns_pl.text import number
 
     wall, speed = scene["wall_seconds"], scene.get("speed")
     if speed is None:

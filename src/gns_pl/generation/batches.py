@@ -7,9 +7,9 @@ import warnings
 from collections.abc import Generator, Mapping, Sequence
 from functools import partial
 
-from gns_pl.generation import solver
 from gns_pl.generation.pool import Failure, attempt
 from gns_pl.generation.produce import Job, Product, measure_files, produce, store
+from gns_pl.mpm import settings as solver
 
 BATCH_BYTES = 4_000_000_000
 """Positions that one launch leaves in the memory of this process. Some 25 fine cube drops (30,000 points, 401 frames)

@@ -16,17 +16,19 @@ from typing import Any
 
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
-from gns_pl.generation import records, solver
+from gns_pl.generation import records
 from gns_pl.generation.batches import run_batches
-from gns_pl.generation.lock import locked
-from gns_pl.generation.pool import Failure, available_cores, run_jobs
+from gns_pl.generation.pool import Failure, run_jobs
 from gns_pl.generation.produce import Job, Measured, Place, Product, produce
 from gns_pl.generation.progress import GenerationProgress
 from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
 from gns_pl.generation.thinning import stored_counts
 from gns_pl.io import SPLITS, Manifest, StorageError, remove_temporary_files, write_manifest
 from gns_pl.io.atomic import free_bytes
+from gns_pl.io.lock import locked
 from gns_pl.io.manifest import MANIFEST_VERSION
+from gns_pl.machine import available_cores
+from gns_pl.mpm import settings as solver
 from gns_pl.scene.extent import compression_notice, largest_own_weight_strain
 
 NOTEWORTHY_BYTES = 100_000_000

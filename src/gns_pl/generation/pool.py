@@ -46,11 +46,6 @@ class _Worker(Generic[J]):
     index: int | None = None
 
 
-def available_cores() -> int:
-    """Return the number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def run_jobs(
     function: Callable[[J], R], jobs: Sequence[J], num_workers: int
 ) -> Generator[tuple[int, R | Failure], None, None]:

@@ -12,7 +12,6 @@ import numpy as np
 
 from gns_pl.data.statistics import RunningStatistics, measure_motion
 from gns_pl.errors import InputError
-from gns_pl.generation import solver
 from gns_pl.generation.thinning import thin_trajectory
 from gns_pl.io import (
     FileRecord,
@@ -21,6 +20,7 @@ from gns_pl.io import (
     read_static,
     write_trajectory,
 )
+from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.generation.pool import Failure
-from gns_pl.generation.solver import solver_version
 from gns_pl.generation.spec import DatasetSpec
 from gns_pl.io import MANIFEST_NAME, StorageError, read_manifest
 from gns_pl.io.atomic import write_atomically
+from gns_pl.mpm.settings import solver_version
 
 BEGUN_NAME = "generation.json"
 FAILURES_NAME = "failures.log"

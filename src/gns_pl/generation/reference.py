@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.progress import Progress
 
 from gns_pl.errors import InputError
-from gns_pl.generation import solver
-from gns_pl.generation.lock import locked
 from gns_pl.io import StorageError, read_trajectory, remove_temporary_files, write_trajectory
+from gns_pl.io.lock import locked
 from gns_pl.machine import machine_name
+from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.generation import solver
+from gns_pl.mpm import settings as solver
 from gns_pl.scene import Particles, Scene, fill_scene
 from gns_pl.trajectory import Trajectory
 

@@ -1,7 +1,7 @@
 """What a network saw in training, in few numbers: where its inputs lay, and how far off others are.
 
 A distance says how unlike its inputs are to those it learned from. It knows nothing of what no input shows, as the
-friction of a wall; `rollout.training_range` looks at the scene instead.
+friction of a wall; `solvers.training_range` looks at the scene instead.
 """
 
 from __future__ import annotations

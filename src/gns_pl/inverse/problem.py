@@ -16,9 +16,9 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.inverse.deposit import deposit_misfit, deposit_thickness
+from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import static_of
 from gns_pl.rollout.gradient import differentiable_rollout
-from gns_pl.simulator import Simulator
 from gns_pl.trajectory import Trajectory
 
 FRICTION = "tan_friction_angle"

@@ -13,11 +13,11 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.frame_simulator import FrameSimulator
 from gns_pl.graph import NeighbourList, Static
+from gns_pl.models.geoelements import FrameSimulator
+from gns_pl.models.simulator import Simulator
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.nn.encode_process_decode import FUSED_WIDTHS, has_triton
-from gns_pl.simulator import Simulator
 
 PRECISIONS = ("float32", "tf32", "bfloat16")
 

@@ -19,10 +19,10 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.frame_simulator import FrameSimulator
 from gns_pl.graph import Static, radius_graph
+from gns_pl.models.geoelements import FrameSimulator
+from gns_pl.models.simulator import Simulator
 from gns_pl.nn import EncodeProcessDecode
-from gns_pl.simulator import Simulator
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
 from gns_pl.machine import machine_name
+from gns_pl.models.simulator import Simulator, SimulatorConfig
 from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.rest import Rest
-from gns_pl.simulator import Simulator, SimulatorConfig
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from gns_pl.graph import Static
-from gns_pl.simulator import Simulator
+from gns_pl.models.simulator import Simulator
 
 
 def differentiable_rollout(
@@ -60,7 +60,7 @@ def differentiable_rollout(
 
 
 def differentiable_front(coordinate: Tensor, mass: Tensor, percent: float, width: float) -> Tensor:
-    """Return the coordinate behind which q % of the mass lies, as `evaluation.measures.percentile_front` does.
+    """Return the coordinate behind which q % of the mass lies, as `metrics.measures.percentile_front` does.
 
     The front z solves F(z) = Σ m_i clip((z − x_i) / w + 1/2, 0, 1) = q/100 Σ m_i. Its derivative is the implicit
     function's: ∂z/∂x_i = m_i / Σ m_j over the particles whose width w the front cuts.

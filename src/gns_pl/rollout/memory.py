@@ -9,8 +9,8 @@ import torch
 from gns_pl.errors import InputError
 from gns_pl.graph import context_bytes, radius_graph
 from gns_pl.machine import free_memory
+from gns_pl.models.simulator import Simulator, SimulatorConfig
 from gns_pl.rollout.engine import Run, history_of, static_of
-from gns_pl.simulator import Simulator, SimulatorConfig
 
 ROOM = 1.2
 """More edges than at the start: a heap is denser than a body at rest before it falls."""

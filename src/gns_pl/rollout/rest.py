@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
-from gns_pl.simulator import Simulator
+from gns_pl.models.simulator import Simulator
 
 STEPS = 5
 """A particle that was still for so many steps sleeps; a scene whose particles all were is at rest."""

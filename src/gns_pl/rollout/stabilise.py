@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.frame_simulator import FrameSimulator
 from gns_pl.graph import Static, radius_graph
+from gns_pl.models.geoelements import FrameSimulator
+from gns_pl.models.simulator import Simulator
 from gns_pl.rollout.rest import SleepingStep
-from gns_pl.simulator import Simulator
 
 SWEEPS = 4
 """Times that all pairs which are too close are moved apart, in a step."""

@@ -13,8 +13,8 @@ from lightning.pytorch import Trainer
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import tolerated
-from gns_pl.evaluation.report import without_nan
 from gns_pl.io.atomic import write_atomically
+from gns_pl.text import without_nan
 from gns_pl.training.checkpoints import LAST, BestCheckpoint, best_checkpoint
 from gns_pl.training.clock import Clock
 from gns_pl.training.history import Floats, History, read_history

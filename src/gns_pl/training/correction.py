@@ -24,17 +24,17 @@ from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, IterableDataset
 
 import gns_pl
-from gns_pl.corrector import Corrector, CorrectorConfig, CorrectorFile, save_corrector
 from gns_pl.errors import InputError
-from gns_pl.evaluation.curves import compute_curves
 from gns_pl.generation import chosen_every, generate_dataset
-from gns_pl.generation.lock import locked
 from gns_pl.io import manifest_sha256, read_manifest, read_trajectory
+from gns_pl.io.lock import locked
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.models.corrector import Corrector, CorrectorConfig, CorrectorFile, save_corrector
 from gns_pl.mpm import SimulationError
 from gns_pl.nn import in_float32
 from gns_pl.rollout import static_of
-from gns_pl.rollout.correction import corrected_run, followed_run
 from gns_pl.scene import fill_scene
+from gns_pl.solvers.correction import corrected_run, followed_run
 from gns_pl.training.clock import Stopwatch, cost_of
 from gns_pl.training.trainer import quieten
 from gns_pl.trajectory import Trajectory, start_trajectory

@@ -12,7 +12,7 @@ from lightning.pytorch.loggers import Logger, TensorBoardLogger, WandbLogger
 from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.errors import InputError, tolerated
-from gns_pl.evaluation.tracking import wandb_mode
+from gns_pl.io.tracking import wandb_mode
 
 
 class WandbRun(WandbLogger):

@@ -11,10 +11,10 @@ from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 from torch_geometric.data import Data
 
-from gns_pl.checkpoint import KEY, checkpoint_entry
-from gns_pl.evaluation.metrics import rollout_errors
-from gns_pl.frame_simulator import build_simulator, simulator_config
 from gns_pl.graph import Draws, Seen, Static
+from gns_pl.metrics.summary import rollout_errors
+from gns_pl.models.checkpoint import KEY, checkpoint_entry
+from gns_pl.models.registry import build_simulator, simulator_config
 from gns_pl.rollout import rollout
 from gns_pl.training.clock import Stopwatch
 from gns_pl.training.optimiser import MuonAndAdamW
@@ -178,7 +178,7 @@ class SimulatorModule(LightningModule):
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add what `gns_pl.checkpoint` reads."""
+        """Add what `gns_pl.models.checkpoint` reads."""
         provenance = {**self.provenance, "steps": self.global_step}
         clocks = [each for each in self.trainer.callbacks if isinstance(each, Stopwatch)]  # type: ignore[attr-defined]
         if "cost" in provenance and clocks:

@@ -46,7 +46,7 @@ def steps_made(path: Path, settings: Mapping[str, Any]) -> int:
         InputError: not a checkpoint of ours, one without trainer state, or one made with other settings. If it is
             damaged, the newest good one beside it is named.
     """
-    from gns_pl.checkpoint import KEY
+    from gns_pl.models.checkpoint import KEY
 
     content = _read(path)
     if "optimizer_states" not in content:
@@ -75,8 +75,8 @@ def alone_in(output: Path) -> Iterator[None]:
         InputError: another process is training there.
         StorageError: the disk refuses.
     """
-    from gns_pl.generation.lock import claim, open_lock
     from gns_pl.io import StorageError, remove_temporary_files
+    from gns_pl.io.lock import claim, open_lock
 
     try:
         output.mkdir(parents=True, exist_ok=True)
@@ -103,7 +103,7 @@ def _read(path: Path) -> dict[str, Any]:
     Raises:
         InputError: it cannot be read; the newest good one beside it is named.
     """
-    from gns_pl.checkpoint import read_content
+    from gns_pl.models.checkpoint import read_content
     from gns_pl.training.checkpoints import BEST, newest_first
 
     try:

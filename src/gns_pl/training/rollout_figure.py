@@ -11,8 +11,8 @@ import numpy as np
 from lightning.pytorch import Callback, LightningModule, Trainer
 
 from gns_pl.errors import tolerated
-from gns_pl.evaluation.curves import compute_curves
-from gns_pl.evaluation.measures import particle_spacing
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.metrics.measures import particle_spacing
 from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.training.loggers import log_image
 from gns_pl.trajectory import Trajectory

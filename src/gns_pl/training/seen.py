@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch_geometric.data import Batch
 
-from gns_pl.checkpoint import load_checkpoint, save_checkpoint
 from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
 from gns_pl.graph import Draws, Seen
 from gns_pl.io import manifest_sha256, read_manifest
-from gns_pl.simulator import Simulator
+from gns_pl.models.checkpoint import load_checkpoint, save_checkpoint
+from gns_pl.models.simulator import Simulator
 from gns_pl.training.module import static_of_batch
 from gns_pl.training.symmetry import sample_symmetry
 

@@ -82,7 +82,7 @@ def described(values: Mapping[str, float | None]) -> str:
     """Return validation errors in words, leaving out what is not known.
 
     Args:
-        values: errors by their names in `evaluation.metrics.ERRORS` and `SUMMARY`, without a prefix.
+        values: errors by their names in `metrics.summary.ERRORS` and `SUMMARY`, without a prefix.
     """
     known = {name: value for name, value in values.items() if value is not None and math.isfinite(value)}
     if "position_error" not in known:

@@ -13,8 +13,8 @@ from typing import Any
 
 import yaml
 
-from gns_pl.evaluation.report import number, percent
 from gns_pl.io.atomic import write_atomically
+from gns_pl.text import number, percent
 from gns_pl.training.summary import FAILURE_FILE, SUMMARY_FILE, read_summary
 from gns_pl.viz import SweepPoint
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gns_pl.evaluation.tracking import started, unless_disabled
+from gns_pl.io.tracking import started, unless_disabled
 from gns_pl.training.sweep_table import Job, measured, swept_names
 
 

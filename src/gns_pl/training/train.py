@@ -18,10 +18,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError, tolerated
-from gns_pl.frame_simulator import FrameSimulator, simulator_config
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.machine import provide_home
+from gns_pl.models.geoelements import FrameSimulator
+from gns_pl.models.registry import simulator_config
 from gns_pl.nn import in_float32
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.callbacks import StopAtSignal

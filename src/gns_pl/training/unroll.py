@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.graph import Static
-from gns_pl.simulator import Simulator
+from gns_pl.models.simulator import Simulator
 
 
 def unrolled_loss(

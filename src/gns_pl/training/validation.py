@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 from lightning.pytorch import Trainer
 
-from gns_pl.evaluation.metrics import ERRORS, SUMMARY
+from gns_pl.metrics.summary import ERRORS, SUMMARY
 
 STEP_SECONDS = "rollout_step_seconds"
 """Wall time of one step of a validation rollout [s]."""

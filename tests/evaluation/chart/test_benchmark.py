@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart import measure, speed
 from gns_pl.evaluation.chart.benchmark import chart, finish
@@ -16,15 +15,16 @@ from gns_pl.evaluation.chart.converged import converged, errors_of, uncertainty_
 from gns_pl.evaluation.chart.entries import make_entries
 from gns_pl.evaluation.chart.records import records_of, write_records
 from gns_pl.evaluation.chart.rows import Tables
-from gns_pl.pretrained import find_corrector
-from gns_pl.rollout.by_choice import make_ways, simulate_by_choice
-from gns_pl.rollout.choice import choose, read_records, weigh
-from gns_pl.rollout.measured_range import setup_text
+from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
+from gns_pl.models.shipped import find_corrector
 from gns_pl.scene import Scene
+from gns_pl.solvers.catalogue import make_ways, simulate_by_choice
+from gns_pl.solvers.measured_range import setup_text
+from gns_pl.solvers.selection import choose, read_records, weigh
 from tests.conftest import MPM as SETTINGS
 from tests.conftest import make_simulator
 from tests.evaluation.chart.made_up import folder, row
-from tests.rollout.test_choice import DATA, column
+from tests.solvers.test_selection import DATA, column
 
 MPM = {**SETTINGS, "precision": "float32"}
 CHOICE = {"learned": [], "corrected": [], "handed": {}, "cells": [3.0, 4.0], "mpm": MPM}

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from gns_pl.checkpoint import Checkpoint, read_content, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.costs import cost_of_entry, shipped_seconds
 from gns_pl.evaluation.chart.entries import Entry
-from gns_pl.pretrained import FOLDER, pretrained_names
-from gns_pl.rollout.fitted import CorrectedWay, LearnedWay
+from gns_pl.models.checkpoint import Checkpoint, read_content, save_checkpoint
+from gns_pl.models.shipped import FOLDER, pretrained_names
+from gns_pl.solvers.learned import CorrectedWay, LearnedWay
 from tests.conftest import make_simulator
 
 

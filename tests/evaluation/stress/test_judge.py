@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from gns_pl.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.errors import InputError
 from gns_pl.evaluation.stress.judge import run_suite, stress_from_settings
 from gns_pl.evaluation.stress.report import read_rows
+from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.scene import FACES
 from tests.conftest import MPM, SAND, make_simulator
 

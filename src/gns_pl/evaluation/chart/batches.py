@@ -19,12 +19,12 @@ from gns_pl.evaluation.chart.converged import Converged
 from gns_pl.evaluation.chart.entries import Entry
 from gns_pl.evaluation.chart.rows import BatchRow, Place, Table
 from gns_pl.evaluation.chart.speed import judged_together
-from gns_pl.generation import solver
+from gns_pl.mpm import settings as solver
 from gns_pl.rollout.engine import Run, unroll
-from gns_pl.rollout.fitted import LearnedWay, start_of
 from gns_pl.rollout.stabilise import stabilise
-from gns_pl.rollout.ways import MPMWay
 from gns_pl.scene import Scene
+from gns_pl.solvers.learned import LearnedWay, start_of
+from gns_pl.solvers.solver import MPMWay
 
 Jobs = Sequence[tuple[Scene, int]]
 """Scenes and seeds of their placement."""

@@ -28,7 +28,7 @@ def benchmark_config(cfg: DictConfig) -> list[Path]:
     from omegaconf import OmegaConf
 
     from gns_pl.evaluation.doors import check_figures, named_checkpoints
-    from gns_pl.pretrained import is_corrector
+    from gns_pl.models.shipped import is_corrector
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     check_figures(without=".")
@@ -90,8 +90,8 @@ def chart(
     """
     from gns_pl.evaluation.chart.measure import measure
     from gns_pl.evaluation.chart.rows import Tables
-    from gns_pl.generation.lock import locked
     from gns_pl.generation.records import make_folder
+    from gns_pl.io.lock import locked
 
     make_folder(out)
     with locked(out / ".benchmark.lock", on_wait=lambda: print(f"{out}: another run measures here; waiting for it")):

@@ -15,13 +15,13 @@ import numpy as np
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.plan import SceneFacts
-from gns_pl.evaluation.curves import compute_curves
-from gns_pl.evaluation.measures import Floats, deposit_profile, particle_spacing
 from gns_pl.generation import reference_trajectory
-from gns_pl.rollout.measured_range import setup_text
-from gns_pl.rollout.reduction import reduce_scene
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.metrics.measures import Floats, deposit_profile, particle_spacing
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import initial_extent
+from gns_pl.solvers.measured_range import setup_text
+from gns_pl.solvers.reduction import reduce_scene
 from gns_pl.trajectory import Trajectory
 
 FAILED = dict.fromkeys(("runout_error", "curve_error", "height_error", "profile_error"), math.inf) | {

@@ -14,8 +14,8 @@ from typing import Any
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.entries import Entry, path_of
 from gns_pl.evaluation.chart.plan import Cost
-from gns_pl.pretrained import FOLDER
-from gns_pl.rollout.fitted import CorrectedWay, LearnedWay
+from gns_pl.models.shipped import FOLDER
+from gns_pl.solvers.learned import CorrectedWay, LearnedWay
 
 KEYS = ("data_seconds", "train_seconds")
 
@@ -76,7 +76,7 @@ def _clock_seconds(entry: Entry) -> float | None:
     """Return the wall time that the trainer's own checkpoints hold [s]."""
     if not isinstance(entry.way, LearnedWay):
         return None
-    from gns_pl.checkpoint import read_content
+    from gns_pl.models.checkpoint import read_content
 
     clock = (read_content(entry.way.path).get("callbacks") or {}).get("Clock") or {}
     return float(clock["seconds"]) if "seconds" in clock else None

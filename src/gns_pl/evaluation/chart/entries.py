@@ -9,16 +9,16 @@ from typing import Any
 
 import gns_pl
 from gns_pl.errors import InputError
-from gns_pl.evaluation.chart.baselines import Ballistic, Still
 from gns_pl.evaluation.chart.converged import Converged, hashed
 from gns_pl.evaluation.doors import named_checkpoints
-from gns_pl.generation.solver import solver_version
 from gns_pl.io import file_sha256
-from gns_pl.pretrained import find_checkpoint, find_corrector, is_corrector
-from gns_pl.rollout.by_choice import make_ways, way_name
-from gns_pl.rollout.fitted import CorrectedWay, HandedWay, LearnedWay
-from gns_pl.rollout.ways import MPMWay, Way
+from gns_pl.models.shipped import find_checkpoint, find_corrector, is_corrector
+from gns_pl.mpm.settings import solver_version
 from gns_pl.scene import Scene
+from gns_pl.solvers.catalogue import make_ways, way_name
+from gns_pl.solvers.learned import CorrectedWay, HandedWay, LearnedWay
+from gns_pl.solvers.solver import MPMWay, Way
+from gns_pl.solvers.trivial import Ballistic, Still
 from gns_pl.trajectory import Trajectory
 
 

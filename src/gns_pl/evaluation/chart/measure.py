@@ -7,10 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gns_pl.checkpoint import move
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart import speed
-from gns_pl.evaluation.chart.baselines import FittedLaw
 from gns_pl.evaluation.chart.batches import can_batch, measure_batches
 from gns_pl.evaluation.chart.converged import converged
 from gns_pl.evaluation.chart.costs import cost_of_entry
@@ -19,16 +17,18 @@ from gns_pl.evaluation.chart.plan import LEARNED, EntryFacts, Plan, write_plan
 from gns_pl.evaluation.chart.points import points_of
 from gns_pl.evaluation.chart.rows import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
-from gns_pl.evaluation.curves import compute_curves
 from gns_pl.evaluation.report import run
 from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.generation import reference_trajectory
-from gns_pl.generation.pool import available_cores
-from gns_pl.generation.solver import choose_device
-from gns_pl.rollout.choice import kind_of
-from gns_pl.rollout.fitted import LearnedWay
-from gns_pl.rollout.reduction import reduce_scene
+from gns_pl.machine import available_cores
+from gns_pl.metrics.curves import compute_curves
+from gns_pl.models.checkpoint import move
+from gns_pl.mpm.settings import choose_device
 from gns_pl.scene import Scene
+from gns_pl.solvers.learned import LearnedWay
+from gns_pl.solvers.reduction import reduce_scene
+from gns_pl.solvers.selection import kind_of
+from gns_pl.solvers.trivial import FittedLaw
 
 
 def measure(

@@ -56,7 +56,7 @@ class SceneFacts:
         duration: simulated [s].
         interval: time between frames [s].
         words: how the reference was made.
-        setup: what its errors hold for (`rollout.measured_range.setup_text`); empty in plans from before it was
+        setup: what its errors hold for (`solvers.measured_range.setup_text`); empty in plans from before it was
             written.
     """
 

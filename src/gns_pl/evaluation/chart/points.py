@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gns_pl.evaluation.chart.baselines import FittedLaw, extrapolate
 from gns_pl.evaluation.chart.front import Spot, break_even, pareto_front, seconds_of_error
 from gns_pl.evaluation.chart.plan import LEARNED, Cost, Plan, SceneFacts
 from gns_pl.evaluation.chart.rows import Place, RunRow, Table
-from gns_pl.evaluation.laws import LAWS
+from gns_pl.metrics.laws import LAWS
+from gns_pl.solvers.trivial import FittedLaw, extrapolate
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gns_pl.evaluation.chart.rows import RunRow, rendered
 from gns_pl.io.atomic import write_atomically
-from gns_pl.rollout.choice import Record, read_records
+from gns_pl.solvers.selection import Record, read_records
 
 
 def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) -> list[Record]:

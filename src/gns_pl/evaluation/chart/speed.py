@@ -25,10 +25,9 @@ from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.converged import Converged, errors_of, hashed
 from gns_pl.evaluation.chart.entries import Entry
 from gns_pl.evaluation.chart.rows import Place, RatioRow, RunRow, Table
-from gns_pl.generation.pool import available_cores
 from gns_pl.io import write_trajectory
-from gns_pl.machine import machine_name
-from gns_pl.rollout.choice import kind_of
+from gns_pl.machine import available_cores, machine_name
+from gns_pl.solvers.selection import kind_of
 from gns_pl.trajectory import Trajectory
 
 PACKAGES = ("gns_pl", "torch", "numba", "numpy")

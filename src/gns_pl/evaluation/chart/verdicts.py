@@ -9,6 +9,7 @@ from gns_pl.evaluation.chart.front import Spot, best_as_fast, fastest_as_good
 from gns_pl.evaluation.chart.plan import LEARNED
 from gns_pl.evaluation.chart.points import Point
 from gns_pl.evaluation.chart.rows import RatioRow
+from gns_pl.text import seconds
 
 TIE = 0.05
 """Times that differ by less than this part are called equal: repeated measurements differ by as much."""
@@ -106,16 +107,3 @@ def percent(value: float) -> str:
     if value == float("inf"):
         return "failed"
     return "–" if value != value else f"{100 * value:.1f} %"
-
-
-def seconds(value: float) -> str:
-    """Return a time with its unit."""
-    if value != value:
-        return "unknown"
-    if value == float("inf"):
-        return "never"
-    if value < 1e-4:
-        return f"{1e6 * value:.2g} µs"
-    if value < 0.01:
-        return f"{1e3 * value:.2g} ms"
-    return f"{value:.3g} s" if value < 600 else f"{value / 60:.3g} min"

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from gns_pl.evaluation.chart.plan import LEARNED, Plan, SceneFacts
 from gns_pl.evaluation.chart.points import Point
 from gns_pl.evaluation.chart.rows import BatchRow, Place, RunRow
-from gns_pl.evaluation.chart.verdicts import Verdict, pace_of, percent, seconds
+from gns_pl.evaluation.chart.verdicts import Verdict, pace_of, percent
+from gns_pl.text import seconds
 
 HEAD = (
     *("setting", "particles", "seconds", "error", "largest", "mean", "height", "profile", "front over time"),

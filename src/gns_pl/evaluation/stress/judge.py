@@ -153,9 +153,9 @@ def _identity(*parts: Any) -> str:
 def _learned(
     checkpoints: Mapping[str, Path], device: str, stabilise: Mapping[str, Any], seed: int, label: str
 ) -> Iterator[Any]:
-    from gns_pl.checkpoint import load_checkpoint, move
     from gns_pl.evaluation.stress.runs import Subject
     from gns_pl.io import file_sha256
+    from gns_pl.models.checkpoint import load_checkpoint, move
     from gns_pl.rollout.stabilise import stabilise as stabilised
 
     for name, path in checkpoints.items():
@@ -178,7 +178,7 @@ def _solved(
     seed: int,
 ) -> Iterator[Any]:
     from gns_pl.evaluation.stress.runs import Subject
-    from gns_pl.generation import solver
+    from gns_pl.mpm import settings as solver
 
     if dim not in (2, 3):
         raise InputError(f"evaluation.stress.dim must be 2 or 3, not {dim}.")

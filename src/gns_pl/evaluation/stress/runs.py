@@ -11,19 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.checkpoint import Checkpoint
-from gns_pl.evaluation.measures import centre_of_mass, particle_spacing
 from gns_pl.evaluation.stress.momentum import momentum_residual
 from gns_pl.evaluation.stress.suite import StressScene
-from gns_pl.generation import chosen_every, reference_trajectory, solver, thin_trajectory
+from gns_pl.generation import chosen_every, reference_trajectory, thin_trajectory
+from gns_pl.metrics.measures import centre_of_mass, particle_spacing
+from gns_pl.models.checkpoint import Checkpoint
+from gns_pl.models.simulator import Simulator
+from gns_pl.mpm import settings as solver
 from gns_pl.mpm.config import SimulationError
 from gns_pl.rollout.engine import rollout
 from gns_pl.rollout.failure import Failure, Watch
-from gns_pl.rollout.familiarity import familiarity
-from gns_pl.rollout.training_range import beyond
 from gns_pl.scene import Particles, fill_scene
 from gns_pl.scene.extent import characteristic_time
-from gns_pl.simulator import Simulator
+from gns_pl.solvers.familiarity import familiarity
+from gns_pl.solvers.training_range import beyond
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 

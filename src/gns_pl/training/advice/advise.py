@@ -11,10 +11,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from gns_pl.data.survey import survey_dataset
 from gns_pl.errors import InputError
-from gns_pl.frame_simulator import simulator_config
 from gns_pl.generation import DatasetSpec, chosen_every, generate_dataset, is_imported, missing_bytes, resolved_data
 from gns_pl.generation.records import first_difference
 from gns_pl.io import MANIFEST_NAME, Manifest, read_manifest
+from gns_pl.models.registry import simulator_config
 from gns_pl.text import override
 from gns_pl.training.advice import report
 from gns_pl.training.advice.numbers import compute_advice

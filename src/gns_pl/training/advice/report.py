@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gns_pl import __version__
 from gns_pl.data.findings import IMPACT_SHARE, MOVING_SHARE, SPEED_AT_REST
-from gns_pl.evaluation.report import number, without_nan
+from gns_pl.text import number, without_nan
 from gns_pl.training.advice.faults import Suggestion, percent
 from gns_pl.training.advice.numbers import Advice
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from gns_pl.data.places import RADIUS, advised_radius
+from gns_pl.graph.radius import RADIUS, advised_radius
 from gns_pl.training.advice.faults import FAULTS, Rule, Suggestion, percent
 from gns_pl.training.advice.numbers import Advice, target_noise
 

@@ -1,0 +1,184 @@
+"""A few frames of a foreign set, from which its units, axes and spacing are worked out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gns_pl.convert.formats import UNCERTAIN_MATERIAL, ForeignSet, Recording, Stated
+from gns_pl.data.places import check_inside
+from gns_pl.data.probes import interior_spacing, nearest_distance
+from gns_pl.errors import InputError
+from gns_pl.fields import ParticleType
+
+SAMPLE = 4
+"""Recordings that are looked at."""
+WINDOWS = 12
+"""Places in each where accelerations are measured."""
+OTHER_SPACING = 2.5
+"""Ratio of a stated spacing to the seen one from which on it is that of other particles."""
+MOST_PARTICLES = 20_000
+"""Per window; of more, some evenly spread ones."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Frames of some recordings, in the source's units.
+
+    Attributes:
+        dim: D.
+        starts: the moved particles of some first frames, each [N, D].
+        lower: least coordinates seen [D].
+        upper: greatest coordinates seen [D].
+        windows: four frames in a row of moved particles, each [4, N, D].
+        boxed: these and the first frames [F, N, D], each with what its recording states of itself.
+        material: least and greatest material value whose meaning is not stated; None without such.
+    """
+
+    dim: int
+    starts: list[NDArray[np.float64]]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    windows: list[NDArray[np.float64]]
+    boxed: list[tuple[NDArray[np.float64], Stated | None]]
+    material: tuple[float, float] | None = None
+
+    @property
+    def largest(self) -> float:
+        """The largest coordinate, as a magnitude."""
+        return float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
+
+    @property
+    def extent(self) -> float:
+        """Longest edge of the box around all that was seen."""
+        return float((self.upper - self.lower).max())
+
+    @property
+    def rounding(self) -> float:
+        """To what coordinates are rounded: float32 where they are, if all are such numbers; else float32 near zero.
+
+        The latter is what is left of float64 when its origin is taken off.
+        """
+        seen = [*self.starts, *self.windows]
+        single = all((each == each.astype(np.float32)).all() for each in seen)
+        return float(np.finfo(np.float32).eps) * (self.largest if single else min(self.extent, self.largest))
+
+
+def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
+    """Read a few frames of a few recordings.
+
+    Args:
+        found: the source.
+        types: particle types that are to be changed.
+
+    Raises:
+        InputError: recordings that cannot be read, or of different dimensions.
+    """
+    chosen = np.unique(np.linspace(0, len(found.names) - 1, SAMPLE).round().astype(int))
+    starts, windows, dims = [], [], set()
+    boxed: list[tuple[NDArray[np.float64], Stated | None]] = []
+    values: list[float] = []
+    lowest: list[NDArray[np.float64]] = []
+    highest: list[NDArray[np.float64]] = []
+    for number in chosen.tolist():
+        with found.recording(number) as recording:
+            dims.add(recording.dim)
+            if recording.material_features == (UNCERTAIN_MATERIAL,):
+                values += [float(recording.material.min()), float(recording.material.max())]
+            moved = np.flatnonzero(recording.moved if not types else _moved(recording, types))
+            if not len(moved):
+                continue
+            some = moved[:: max(1, len(moved) // MOST_PARTICLES)]
+            starts.append(recording.frames(0, 1)[0, moved].astype(np.float64))
+            boxed.append((starts[-1][None], recording.stated))
+            last = max(0, recording.num_frames - 4)
+            places = np.unique(np.concatenate([np.arange(3), np.linspace(0, last, WINDOWS)]).round().astype(int))
+            for place in places[places <= last].tolist():
+                whole = recording.frames(place, place + 4)
+                lowest.append(whole.min(axis=(0, 1)).astype(np.float64))
+                highest.append(whole.max(axis=(0, 1)).astype(np.float64))
+                if len(whole) == 4:
+                    windows.append(whole[:, some].astype(np.float64))
+                    boxed.append((windows[-1], recording.stated))
+    if len(dims) > 1:
+        raise InputError(f"{found.path}: holds trajectories in two and in three dimensions; convert them apart.")
+    if not starts:
+        raise InputError(f"{found.path}: all its particles are kinematic, so nothing moves.")
+    material = (min(values), max(values)) if values else None
+    return Sample(dims.pop(), starts, np.min(lowest, axis=0), np.max(highest, axis=0), windows, boxed, material)
+
+
+def _moved(recording: Recording, types: Mapping[int, int]) -> NDArray[np.bool_]:
+    kinds = np.array([types.get(int(each), int(each)) for each in recording.particle_type])
+    return np.asarray(kinds != int(ParticleType.KINEMATIC))
+
+
+def stated_or_seen_spacing(found: ForeignSet, sample: Sample, asks: list[str]) -> float | None:
+    """Return the spacing as the source states it, where that fits the particles, or as it is seen; None if neither.
+
+    Args:
+        found: the source.
+        sample: of it.
+        asks: gets the sentence that asks for it.
+    """
+    if "spacing" in found.stated.questions:
+        return None  # asked for already
+    stated, seen = found.stated.spacing, seen_spacing(sample)
+    ratio = stated / seen if stated is not None and seen is not None and found.kind != "gns_pl" else 1.0
+    if not 1 / OTHER_SPACING < ratio < OTHER_SPACING:
+        asks.append(f"the stated spacing, {stated:g}, does not fit particles {seen:g} apart: give spacing=…")
+        return None
+    if stated is None and seen is None:
+        asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
+    return stated or seen
+
+
+def seen_spacing(sample: Sample) -> float | None:
+    """Return the edge of the cube that a particle has to itself, or the distance to the next where there are few."""
+    found = []
+    for start in sample.starts:
+        if len(start) < 2:
+            continue
+        queries = np.unique(np.linspace(0, len(start) - 1, 300).round().astype(int))
+        nearest = float(np.median(nearest_distance(start, queries)))
+        inside = interior_spacing(start, sample.lower, sample.upper, queries, margin=0.0)
+        found.append(inside if math.isfinite(inside) and inside > 0 else nearest)
+    return float(f"{np.median(found):.4g}") if found and np.median(found) > 0 else None
+
+
+def listed(values: Iterable[float], extent: float) -> list[float]:
+    """Return coordinates with as many digits as tell four of the extent of all, however far from zero they are."""
+    digits = 3 - math.floor(math.log10(extent)) if extent > 0 else 6
+    return [round(float(value), digits) for value in values]
+
+
+def box_findings(
+    sample: Sample, lower: tuple[float, ...], upper: tuple[float, ...], spacing: float, given: Collection[str]
+) -> tuple[list[str], str]:
+    """Return what is to be noted of particles outside their box, and the question for another one; empty for nothing.
+
+    Args:
+        sample: of the source.
+        lower: lower corner of the box of recordings that state none of their own [D].
+        upper: upper corner of it [D].
+        spacing: particles outside by less are not counted.
+        given: of "lower" and "upper", those that the user gave, for all recordings.
+    """
+    boxes: dict[tuple[tuple[float, ...], ...], list[NDArray[np.float64]]] = {}
+    for frames, stated in sample.boxed:
+        own = [None if name in given else getattr(stated, name, None) for name in ("lower", "upper")]
+        box = tuple(
+            corner if each is None or len(each) != sample.dim else each
+            for each, corner in zip(own, (lower, upper), strict=True)
+        )
+        boxes.setdefault(box, []).append(frames)
+    try:
+        notes = [check_inside(frames, *box, margin=spacing) for box, frames in boxes.items()]
+    except InputError as error:
+        seen = f"{listed(sample.lower, sample.extent)} and {listed(sample.upper, sample.extent)}"
+        return [], f"{error}; all are between {seen}: give lower=… upper=…, or the right scale=…"
+    return [note for note in notes if note], ""

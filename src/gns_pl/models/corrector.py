@@ -1,0 +1,177 @@
+"""What a coarse material point run misses, learned: after some of its steps, by which velocity its points are too slow.
+
+Density, walls, free fall and rest come from the material point method; the network adds a velocity to points that move.
+It sees the same graph and features as a `Simulator`, but of the places to which the coarse run has brought the points,
+and besides what that run did to their velocities. `solvers.correction` runs the two together, `training.correction`
+fits it to fine runs. A file holds config, weights, data and provenance, and no code.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from gns_pl.errors import InputError
+from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
+from gns_pl.graph.radius import advised_radius
+from gns_pl.io import atomic_path
+from gns_pl.nn import EncodeProcessDecode, in_float32
+
+KEY = "gns_pl_corrector"
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class CorrectorConfig:
+    """Everything that rebuilds a `Corrector` but its weights and scales.
+
+    Attributes:
+        dim: D, 2 or 3.
+        interval: time between corrections [s].
+        spacing: of the points [m].
+        mpm: settings of the coarse run, as `MPMConfig`.
+        connectivity_radius: R [m].
+        latent_size: width of the states.
+        num_mlp_layers: hidden layers of each MLP.
+        num_message_passing_steps: number of interaction networks.
+        slow: a correction is halved where a point is slower than this part of the velocity scale, and vanishes with its
+            speed: what rests is left alone.
+    """
+
+    dim: int
+    interval: float
+    spacing: float
+    mpm: Mapping[str, Any]
+    connectivity_radius: float
+    latent_size: int
+    num_mlp_layers: int
+    num_message_passing_steps: int
+    slow: float
+
+    def __post_init__(self) -> None:
+        for name in ("interval", "spacing", "connectivity_radius", "slow"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"correction.{name} must be positive, not {getattr(self, name)}.")
+        if self.connectivity_radius < self.spacing:
+            raise InputError(
+                f"model.connectivity_radius = {self.connectivity_radius:g} m reaches no neighbour at a spacing of "
+                f"{self.spacing:.3g} m; take model.connectivity_radius={advised_radius(self.spacing):g}"
+            )
+
+
+class Corrector(nn.Module):
+    """The velocity that every point of a coarse run is short of.
+
+    Args:
+        config: its shape.
+
+    Attributes:
+        velocity_scale: root mean square of a velocity component [] [m/s].
+        correction_scale: the same of what the coarse run misses [] [m/s].
+    """
+
+    velocity_scale: Tensor
+    correction_scale: Tensor
+
+    @in_float32
+    def __init__(self, config: CorrectorConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.register_buffer("velocity_scale", torch.ones(()))
+        self.register_buffer("correction_scale", torch.ones(()))
+        width = node_width(
+            dim=config.dim, input_sequence_length=2, num_particle_types=1, num_material_features=0, context=True
+        )
+        self.network = EncodeProcessDecode(
+            node_width=width + config.dim,
+            edge_width=edge_width(config.dim),
+            output_width=config.dim,
+            latent_size=config.latent_size,
+            num_mlp_layers=config.num_mlp_layers,
+            num_message_passing_steps=config.num_message_passing_steps,
+        )
+
+    def forward(self, before: Tensor, position: Tensor, predicted: Tensor, static: Static) -> Tensor:
+        """Return the velocities to add [N, D] [m/s].
+
+        Args:
+            before: positions one interval before [N, D] [m].
+            position: positions from which the coarse run went on [N, D] [m].
+            predicted: where it has brought the points [N, D] [m].
+            static: the scenes.
+        """
+        config, dtype = self.config, self.velocity_scale.dtype
+        before, position, predicted = (each.to(dtype) for each in (before, position, predicted))
+        static = static.in_precision(dtype)
+        velocity = (predicted - position) / config.interval
+        edge_index = radius_graph(predicted, config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
+        node = node_features(
+            velocity[:, None],
+            predicted,
+            static,
+            velocity_scale=self.velocity_scale,
+            radius=config.connectivity_radius,
+            spacing=config.spacing,
+            particle_types=(0,),
+            material_scale=self.velocity_scale.new_zeros(2, 0),
+            context=True,
+        )
+        change = (predicted - 2 * position + before) / (config.interval * self.velocity_scale)
+        edge = edge_features(predicted, edge_index, config.connectivity_radius)
+        output: Tensor = self.network(torch.cat([node, change], dim=1), edge, edge_index)
+        speed = velocity.norm(dim=1, keepdim=True)
+        moving: Tensor = speed / (speed + config.slow * self.velocity_scale)
+        return output * moving * self.correction_scale
+
+
+@dataclass(frozen=True)
+class CorrectorFile:
+    """What a corrector's file holds.
+
+    Attributes:
+        corrector: in evaluation mode.
+        data: the specification of the data it was trained on, as in conf/data/.
+        provenance: versions, steps made, the data's hash.
+    """
+
+    corrector: Corrector
+    data: dict[str, Any]
+    provenance: dict[str, Any]
+
+
+def save_corrector(path: Path, content: CorrectorFile) -> None:
+    """Write a corrector's file, whole or not at all."""
+    entry = {
+        "format_version": FORMAT_VERSION,
+        "config": dataclasses.asdict(content.corrector.config),
+        "data": content.data,
+        "provenance": content.provenance,
+    }
+    with atomic_path(path) as temporary:
+        torch.save({KEY: entry, "state_dict": content.corrector.state_dict()}, temporary)
+
+
+def load_corrector(path: Path) -> CorrectorFile:
+    """Read a corrector's file.
+
+    Raises:
+        InputError: no such file, or not one of ours.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such corrector.")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        entry = content[KEY]
+        corrector = Corrector(CorrectorConfig(**entry["config"]))
+        corrector.load_state_dict(content["state_dict"])
+    except (pickle.UnpicklingError, zipfile.BadZipFile, RuntimeError, EOFError, LookupError, TypeError) as error:
+        raise InputError(f"{path}: is not a corrector of gns_pl, or was cut off while written.") from error
+    return CorrectorFile(corrector.eval(), entry["data"], entry["provenance"])

@@ -1,0 +1,66 @@
+"""Checkpoints and correctors that come with the package, each with a model card beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from gns_pl.errors import InputError
+from gns_pl.text import did_you_mean
+
+FOLDER = Path(__file__).parents[1] / "pretrained"
+
+ALIASES = {"column-fast": "collapse", "column-fast-plane": "collapse_plane"}
+"""What a model is for, as a name → that of its experiment, file and card."""
+
+
+CORRECTOR = ".corrector"
+"""Ending of the files that correct coarse MPM."""
+
+
+def pretrained_names() -> list[str]:
+    """Return the names that can stand in the place of a checkpoint's path."""
+    return sorted(path.stem for path in FOLDER.glob("*.ckpt"))
+
+
+def corrector_names() -> list[str]:
+    """Return the names that can stand in the place of a corrector's path."""
+    return sorted(path.stem for path in FOLDER.glob(f"*{CORRECTOR}"))
+
+
+def find_checkpoint(path: str | Path) -> Path:
+    """Return the path of a checkpoint: that of a model of the package if its bare name or alias is given."""
+    name = ALIASES.get(str(path), str(path))
+    return FOLDER / f"{name}.ckpt" if name in pretrained_names() and not Path(path).exists() else Path(path)
+
+
+def find_corrector(path: str | Path) -> Path:
+    """Return the path of a corrector: that of one that comes with the package if its bare name is given."""
+    shipped = FOLDER / f"{path}{CORRECTOR}"
+    return shipped if shipped.is_file() and not Path(path).exists() else Path(path)
+
+
+def is_corrector(path: str | Path) -> bool:
+    """Return whether a name or a file is a corrector and no checkpoint."""
+    return find_corrector(path).suffix == CORRECTOR
+
+
+def existing_checkpoint(path: str | Path, also: Iterable[str] = ()) -> Path:
+    """Return the path of a checkpoint that is there.
+
+    Args:
+        path: as of `find_checkpoint`.
+        also: names of what can stand in its place besides, for the message.
+
+    Raises:
+        InputError: there is none; names that may have been meant, and those that come with the package, are told.
+    """
+    found = find_checkpoint(path)
+    if found.is_file():
+        return found
+    known = sorted([*pretrained_names(), *ALIASES, *also])
+    beside = [str(each) for each in sorted(found.parent.glob("*.ckpt"))]
+    raise InputError(
+        f"{path}: there is no such checkpoint{did_you_mean(str(path), [*known, *beside])}; "
+        f"those that come with gns_pl are {', '.join(known)}."
+    )

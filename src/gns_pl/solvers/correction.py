@@ -1,0 +1,119 @@
+"""Coarse material point runs that a network corrects on the way: a second way from a scene to a trajectory.
+
+The points of the run are the particles. After every interval the corrector says by which velocity they are too slow,
+and they get it. Places and stress stay those of the material point method, which finds out by itself what velocities do
+to the density: put to other places as well, points drift apart and the heap swells (by a third at a = 3).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gns_pl.models.corrector import Corrector
+from gns_pl.mpm.settings import stepped_run
+from gns_pl.rollout.engine import static_of
+from gns_pl.scene import Particles
+from gns_pl.trajectory import Trajectory
+
+Floats = NDArray[np.float32]
+
+
+def points_of(trajectory: Trajectory, frame: int = 0) -> Particles:
+    """Return the particles of one of a trajectory's frames as points of a run.
+
+    Args:
+        trajectory: its first frame says which body a particle is of.
+        frame: where the points are, and how fast.
+    """
+    number, names = trajectory.num_particles, list(trajectory.scene.materials)
+    body = np.zeros(number, dtype=np.int64)
+    for index, each in enumerate(trajectory.scene.bodies):
+        start = trajectory.position[0]
+        body[((start >= each.position) & (start <= each.upper)).all(axis=1)] = index
+    material = np.array([names.index(each.material) for each in trajectory.scene.bodies])[body]
+    return Particles(
+        position=trajectory.position[frame].astype(np.float64),
+        velocity=trajectory.velocity()[frame],
+        mass=trajectory.mass.astype(np.float64),
+        volume=trajectory.volume().astype(np.float64),
+        material=trajectory.material,
+        material_name=material,
+        particle_type=trajectory.particle_type,
+        body=body,
+        lattice=np.zeros((number, trajectory.scene.dim), dtype=np.int64),
+    )
+
+
+@torch.inference_mode()
+def corrected_run(corrector: Corrector, start: Trajectory, num_steps: int) -> Trajectory:
+    """Return a coarse run with corrections, from the first frame of `start`.
+
+    Args:
+        corrector: with the settings of the run.
+        start: scene, placement and initial velocities.
+        num_steps: frames to add, the corrector's interval apart.
+
+    Raises:
+        SimulationError: the run became unstable.
+    """
+    config, static, began = corrector.config, static_of(start), time.perf_counter()
+    run = stepped_run(start.scene, config.mpm, points_of(start), config.interval)
+    before = run.position - run.velocity * config.interval
+    frames = [run.position.astype(np.float32)]
+    for _ in range(num_steps):
+        position = run.position
+        run.advance()
+        predicted = run.position
+        arrays = (torch.from_numpy(each.astype(np.float32)) for each in (before, position, predicted))
+        velocity = corrector(*arrays, static).numpy()
+        run.push(velocity)
+        before = position
+        frames.append(run.position.astype(np.float32))
+    provenance = {"solver": "gns_pl.solvers.correction", "wall_seconds": time.perf_counter() - began}
+    return replace(start, position=np.stack(frames), dt=config.interval, provenance=provenance)
+
+
+@torch.no_grad()
+def followed_run(
+    trajectory: Trajectory, corrector: Corrector, *, share: float = 1.0, catch_up: float, trust: float = 0.0
+) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
+    """Follow a fine trajectory with a coarse run whose velocities are led to the fine ones.
+
+    Where the corrector is trusted, the run goes astray as it does with that one, and what is yielded leads back: so a
+    network learns from its own mistakes (Ross, Gordon and Bagnell 2011).
+
+    Args:
+        trajectory: the fine one, its frames the corrector's interval apart.
+        corrector: whose coarse run follows.
+        share: of the missing velocity that is wanted, above 0 and up to 1.
+        catch_up: part of what places are behind that is to be caught up in an interval, besides.
+        trust: part of the velocity given that comes from the corrector, 0 to 1; the rest is what is wanted.
+
+    Yields:
+        For every frame positions one interval before, from which the run went on, and to which it came [N, D] [m], and
+        the velocity that is wanted [N, D] [m/s].
+    """
+    config, static = corrector.config, static_of(trajectory)
+    start, fine, dt = replace(trajectory, position=trajectory.position[:1]), trajectory.position, config.interval
+    run = stepped_run(start.scene, config.mpm, points_of(start), dt)
+    before, last = run.position - run.velocity * dt, trajectory.num_frames - 1
+    for frame in range(1, last + 1):
+        position = run.position
+        run.advance()
+        predicted = run.position
+        after = min(frame + 1, last)
+        wanted = (fine[after].astype(np.float64) - fine[frame - 1]) / ((after - frame + 1) * dt)
+        velocity = share * (wanted - run.velocity) + catch_up * (fine[frame] - predicted) / dt
+        arrays = tuple(each.astype(np.float32) for each in (before, position, predicted, velocity))
+        yield arrays  # type: ignore[misc]
+        if trust:
+            learned = corrector(*map(torch.from_numpy, arrays[:3]), static).numpy()
+            velocity = (1 - trust) * velocity + trust * learned
+        run.push(velocity)
+        before = position

@@ -1,0 +1,223 @@
+"""Which way is taken for a scene, and why another is not."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gns_pl.errors import InputError
+from gns_pl.io import read_trajectory
+from gns_pl.machine import available_cores
+from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
+from gns_pl.scene import FACES, Body, Plane, Scene, Wall, column_collapse
+from gns_pl.solvers.catalogue import make_ways, simulate_by_choice
+from gns_pl.solvers.learned import HandedWay, LearnedWay
+from gns_pl.solvers.measured_range import setup_text
+from gns_pl.solvers.selection import RECORDS, Record, choose, kind_of, read_records, table, weigh
+from gns_pl.solvers.solver import MPMWay, characteristic_size
+from tests.conftest import MPM as mpm_settings
+from tests.conftest import SAND, make_simulator
+
+ROUGH, SLIP = Wall("friction", 0.385), Wall("slip")
+MPM = {**mpm_settings, "precision": "float32"}
+DATA = {
+    "gravity": 9.81,
+    "material": {
+        "density": 1800,
+        "youngs_modulus": 2e6,
+        "poisson_ratio": 0.3,
+        "friction_angle_deg": 30,
+        "cohesion": 100,
+    },
+    "walls": {face: {"condition": "friction", "friction": 0.385} for face in FACES[2]},
+    "families": {
+        "low": {"kind": "column_collapse", "length": [0.2, 0.5], "aspect_ratio": [0.5, 1.0]},
+        "high": {"kind": "column_collapse", "length": [0.2, 0.3], "aspect_ratio": [2.0, 3.0]},
+        "drop": {"kind": "cube_drop", "side": [0.2, 0.3], "speed": 1.0, "max_drop": 0.2},
+    },
+}
+
+
+def column(ratio: float = 1.0, sides: Wall = SLIP, **changes: object) -> Scene:
+    """A column of the data's sand."""
+    walls = dict.fromkeys(FACES[3], ROUGH) | {"y-": sides, "y+": sides}
+    scene = column_collapse(
+        domain=(1.5, 0.5, 0.9), length=0.3, height=0.3 * ratio, gravity=9.81, duration=0.2, material=SAND, walls=walls
+    )
+    return scene.replace(**changes)
+
+
+@pytest.fixture
+def learned(tmp_path: Path) -> LearnedWay:
+    simulator = make_simulator(dim=2, spacing=0.05, connectivity_radius=0.1, latent_size=16)
+    path = tmp_path / "flat.ckpt"
+    save_checkpoint(path, Checkpoint(simulator, DATA, {}))
+    return LearnedWay("flat", path)
+
+
+def record(way: str, kind: str, error: float, seconds: float, work: float = 1e6) -> Record:
+    """A measured run of `column`, between smooth or rough side walls."""
+    setup = setup_text(column(sides=SLIP if kind == "plane" else ROUGH))
+    return Record(way, kind, "column", error, 0.0, 0.0, 0.0, seconds, work, 100, 1, "somewhere", setup=setup)
+
+
+def test_a_scene_like_the_data_is_trusted_in_its_slice(learned: LearnedWay) -> None:
+    scene = column(1.5)
+    assert kind_of(scene) == "plane" and learned.why_not(scene) is None
+    assert learned.reduced(scene).scene.dim == 2
+    made = learned.run(scene, interval=0.004, seed=0)
+    assert made.scene == scene and made.num_frames == 51
+    assert made.mass.sum() == pytest.approx(1800 * 0.3 * 0.5 * 0.45, rel=1e-5)
+
+
+def test_a_run_that_stops_being_finite_ends_there(learned: LearnedWay) -> None:
+    torch.nn.init.constant_(learned.checkpoint.simulator.network.decoder[-1].bias, 1e30)
+    made = learned.run(column(), interval=0.004, seed=0)
+    assert "failed_at" in made.provenance and made.num_frames < 51
+    with pytest.raises(InputError, match="not in plane strain"):
+        learned.reduced(column(sides=ROUGH))
+
+
+@pytest.mark.parametrize(
+    ("scene", "reason"),
+    [
+        (column(sides=ROUGH), "of plane strain, and the scene is not: wall y- is not slip"),
+        (column(3.0, walls=column().walls | {"z-": Wall("friction", 0.2)}), "walls were others"),
+        (column(3.0, gravity=(0, 0, -1.62)), "gravity was 9.81"),
+        (column(0.3), "aspect ratios from 0.5 to 3, not 0.3"),
+        (column(bodies=(Body((0, 0, 0), (0.8, 0.5, 0.8), (0, 0, 0)),)), "lengths from 0.2 to 0.5 m"),
+        (column(bodies=(Body((0, 0, 0), (0.3, 0.5, 0.3), (9, 0, 0)),)), "initial speeds up to 1 m/s"),
+        (column(bodies=(Body((0, 0, 0.5), (0.3, 0.5, 0.3), (0, 0, 0)),)), "drops up to 0.2 m"),
+        (column(obstacles=(Plane((1, 0, 0), (-1, 0, 1), ROUGH),)), "knows no obstacles"),
+        (column(materials={"sand": SAND.__class__(**{**vars(SAND), "density": 2000})}), "material was another"),
+        (
+            column(materials={"sand": SAND.__class__(**{**vars(SAND), "friction_angle_deg": 40})}),
+            "material was another",
+        ),
+        (
+            column(bodies=(Body((0, 0, 0), (0.3, 0.5, 0.3), (0, 0, 0)), Body((1, 0, 0), (0.3, 0.5, 0.3), (0, 0, 0)))),
+            "saw single bodies",
+        ),
+    ],
+)
+def test_a_scene_beyond_the_data_is_refused_with_the_reason(scene: Scene, reason: str, learned: LearnedWay) -> None:
+    assert reason in str(learned.why_not(scene))
+
+
+def test_the_friction_angle_may_lie_in_the_range_of_the_data(learned: LearnedWay, tmp_path: Path) -> None:
+    families = {name: {**each, "friction_angle_deg": [20, 45]} for name, each in DATA["families"].items()}
+    save_checkpoint(
+        tmp_path / "flat.ckpt", Checkpoint(learned.checkpoint.simulator, {**DATA, "families": families}, {})
+    )
+    several = LearnedWay("flat", tmp_path / "flat.ckpt")
+    for angle, reason in ((40, None), (50, "friction angles were 20 to 45")):
+        sand = SAND.__class__(**{**vars(SAND), "friction_angle_deg": angle})
+        found = several.why_not(column(materials={"sand": sand}))
+        assert found is None if reason is None else reason in str(found)
+
+
+def test_mpm_runs_the_slice_and_its_cells_grow_with_the_bodies() -> None:
+    way = MPMWay("mpm", 6.0, MPM)
+    scene = column(1.0)
+    assert characteristic_size(scene) == pytest.approx(0.3)
+    assert way.settings_of(scene)["cell_size"] == pytest.approx(0.05)
+    made = way.run(scene, interval=0.02, seed=0)
+    points, _ = way.size(scene)
+    assert points == 144 and made.num_particles == 144 * 20
+    assert way.work(scene) == math.prod(way.size(scene))
+    whole = MPMWay("mpm", 6.0, MPM, reduces=False)
+    assert whole.size(scene)[0] == 144 * 20
+
+
+def test_the_cheapest_that_is_accurate_enough(learned: LearnedWay) -> None:
+    scene = column()
+    ways = [learned, MPMWay("coarse", 5, MPM), MPMWay("fine", 20, MPM)]
+    work = {way.name: way.work(scene) for way in ways}
+    records = [
+        record("flat", "plane", -0.04, 0.2, work["flat"]),
+        record("flat", "plane", 0.02, 0.2, work["flat"]),
+        record("coarse", "plane", -0.3, 0.1, work["coarse"]),
+        record("fine", "plane", 0.01, 3.0, work["fine"]),
+        record("fine", "space", 0.01, 9.0, work["fine"]),
+    ]
+    options = weigh(scene, ways, records)
+    assert [each.way.name for each in options] == ["coarse", "flat", "fine"]
+    assert [each.error for each in options] == [0.3, 0.04, 0.03]
+    for tolerance, name, words in (
+        (0.05, "flat", "cheapest of 2"),
+        (0.03, "fine", "of 1"),
+    ):
+        chosen, why = choose(options, tolerance)
+        assert chosen.way.name == name and words in why
+    assert "30.0 %" in table(options, scene)
+    with pytest.raises(InputError, match=r"tolerance=0\.001: .* the smallest tolerance that can be met is 0\.03 "):
+        choose(options, 0.001)
+    twice = [*records, Record(**{**vars(records[3]), "threads": 2, "seconds": 1.0, "runout_error": 0.02})]
+    [fine] = [each for each in weigh(scene, ways, twice) if each.way.name == "fine"]
+    assert fine.error == 0.03 and fine.seconds == pytest.approx(3.0 if available_cores() == 1 else 1.0)
+    options = weigh(column(sides=ROUGH), ways, records)
+    chosen, why = choose(options, 0.5)
+    assert chosen.way.name == "fine" and "beyond everything learned" in why
+    assert "not: is of plane strain" in table(options, column(sides=ROUGH))
+    assert f"{'coarse':24} not: was not measured" in table(options, column(sides=ROUGH))
+    with pytest.raises(InputError, match="tolerance must be positive"):
+        choose(options, 0.0)
+    with pytest.raises(InputError, match="no way was measured"):
+        choose(weigh(scene, ways, []), 0.1)
+
+
+def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    measured = tmp_path / "records.csv"
+    measured.write_text(
+        "way,kind,scene,runout_error,curve_error,height_error,profile_error,seconds,work,particles,threads,device,setup\n"
+        'mpm_5,plane,c,0.1,0,0,0,1.0,1000000,100,1,here,"' + setup_text(column()).replace('"', '""') + '"\n'
+    )
+    settings = {
+        "duration": None,
+        "seed": 0,
+        "learned": [],
+        "corrected": [],
+        "handed": {},
+        "way": None,
+        "cells": [5],
+        "mpm": MPM,
+        "rest_speed": 0.0,
+        "stabilise": {},
+    }
+    settings |= {"frame_interval": 0.05, "records": str(measured), "explain": False}
+    out = tmp_path / "out"
+    (path,) = simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
+    made = read_trajectory(path)
+    assert made.scene == column() and made.num_frames == 5 and made.provenance["solver"] == "mpm_5"
+    said = capsys.readouterr().out
+    assert "in plane strain" in said and "chosen: mpm_5, the cheapest of 1 that meet 20 %; plane strain" in said
+    assert "here, 1 threads" in said
+    simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
+    assert "is there whole" in capsys.readouterr().out
+    with pytest.raises(InputError, match="of another scene, way, settings, frame interval or seed"):
+        simulate_by_choice([column(1.2)], out=out, tolerance=0.2, **settings)
+    with pytest.raises(InputError, match="frame interval"):
+        simulate_by_choice([column()], out=out, tolerance=0.2, **settings | {"frame_interval": 0.1})
+    with pytest.raises(InputError, match="two scenes have the same name"):
+        simulate_by_choice([column(), column()], out=out, tolerance=0.2, **settings)
+    assert simulate_by_choice([column()], out=tmp_path / "none", tolerance=None, **settings | {"explain": True}) == []
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_packages_records_are_of_its_ways() -> None:
+    records = read_records(RECORDS)
+    assert {each.kind for each in records} == {"plane", "space"}
+    assert {"collapse", "collapse_plane", "corrected_plane"} <= {each.way for each in records}
+    assert all(np.isfinite(each.runout_error) and each.seconds > 0 for each in records)
+    with pytest.raises(InputError, match="is no table"):
+        read_records(Path("nowhere.csv"))
+    with pytest.raises(InputError, match=r"there is no checkpoint nothing\.ckpt"):
+        make_ways(["nothing.ckpt"], [], {}, [], MPM)
+    with pytest.raises(InputError, match=r"choice\.handed\.x: needs learned, until, not learned"):
+        make_ways([], [], {"x": {"learned": "collapse_plane"}}, [], MPM)
+    (way,) = make_ways([], [], {"x": {"learned": "collapse_plane", "until": 1}}, [], MPM)
+    assert isinstance(way, HandedWay) and way.settings["cell_size"] == pytest.approx(1 / 16)
