@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import copy
 import csv
+import dataclasses
 import platform
 import resource
 import statistics
@@ -37,10 +38,12 @@ from torch import Tensor, nn
 from torch_geometric.nn import MessagePassing
 
 import gns_pl.models.simulator
+from gns_pl.graph import radius_graph
 from gns_pl.models.simulator import Simulator, SimulatorConfig
 from gns_pl.nn import EncodeProcessDecode
-from gns_pl.rollout.acceleration import CapturedStep, accelerate
+from gns_pl.rollout.acceleration import CapturedStepper, accelerate
 from gns_pl.rollout.engine import Run, history_of, static_of
+from gns_pl.rollout.stepper import SimulatorStepper, Stepper
 from gns_pl.scene import FACES, Material, Wall, column_collapse, fill_scene
 from gns_pl.trajectory import start_trajectory
 
@@ -161,18 +164,15 @@ def make_simulator(name: str) -> Simulator:
     return simulator
 
 
-def make_variant(name: str, simulator: Simulator) -> Simulator:
-    """Return the simulator that makes the same steps in another way."""
+def make_variant(name: str, simulator: Simulator) -> Stepper:
+    """Return what makes the same steps in another way."""
     if name == "plain":
-        variant = accelerate(simulator)
-        variant._modules["network"] = PlainNetwork(simulator.network).to(simulator.velocity_scale.device)
-        return variant
+        return SimulatorStepper(simulator, radius_graph, PlainNetwork(simulator.network).to(simulator.device))
     if name in ("PyG", "static"):
-        variant, network = accelerate(simulator), copy.copy(simulator.network)
+        network = copy.copy(simulator.network)
         network.compiled_edges = name != "PyG"  # else the first layer split is all there is
         network.static_edges = name == "static"
-        variant._modules["network"] = network
-        return variant
+        return SimulatorStepper(simulator, radius_graph, network)
     words = name.split("+")
     precision = precision_of(name)
     return accelerate(
@@ -197,8 +197,8 @@ def make_start(simulator: Simulator, size: int) -> Run:
 class Clock:
     """Seconds of the parts of a step; a GPU is waited for at each reading."""
 
-    def __init__(self, simulator: Simulator) -> None:
-        self.cuda = simulator.velocity_scale.device.type == "cuda"
+    def __init__(self, stepper: Stepper) -> None:
+        self.cuda = stepper.device.type == "cuda"
         self.seconds = dict.fromkeys(PARTS, 0.0)
 
     def now(self) -> float:
@@ -219,22 +219,18 @@ class Clock:
         return call
 
     @contextmanager
-    def watching(self, simulator: Simulator) -> Iterator[None]:
-        """Time the parts of the simulator's steps."""
-        module, before = (
-            gns_pl.models.simulator,
-            (gns_pl.models.simulator.node_features, gns_pl.models.simulator.edge_features),
-        )
-        search, network = simulator.search, simulator._modules["network"]
-        forward = network.forward
+    def watching(self, stepper: Stepper) -> Iterator[Stepper]:
+        """Yield the stepper with the parts of its steps timed; a CUDA graph has none."""
+        module = gns_pl.models.simulator
+        before = module.node_features, module.edge_features
         module.node_features, module.edge_features = (self.timed("features", each) for each in before)
-        simulator.search, network.forward = self.timed("search", search), self.timed("network", forward)
+        if isinstance(stepper, SimulatorStepper):
+            search, network = self.timed("search", stepper.search), self.timed("network", stepper.network)
+            stepper = dataclasses.replace(stepper, search=search, network=network)
         try:
-            yield
+            yield stepper
         finally:
             module.node_features, module.edge_features = before
-            simulator.search = search
-            del network.forward
 
 
 def flops(simulator: Simulator, nodes: int, edges: int) -> float:
@@ -308,7 +304,7 @@ def measure(
     outputs: dict[str, Tensor] = {}
     peaks: dict[str, float] = {}
     with torch.inference_mode():
-        edges = int(simulator.search(history[:, -1], simulator.config.connectivity_radius).shape[1])
+        edges = int(radius_graph(history[:, -1], simulator.config.connectivity_radius).shape[1])
         machine = Machine(device)
         for turn in range(turns + 1):
             for each, variant in made.items():
@@ -317,19 +313,19 @@ def measure(
                 if device == "cuda":
                     torch.cuda.reset_peak_memory_stats()
                 began = clock.now()
-                if isinstance(variant.forward, CapturedStep):
-                    variant(history, static)
-                    outputs[each] = variant.forward.normalised
-                else:
+                if isinstance(variant, SimulatorStepper):
                     outputs[each] = variant.normalised_acceleration(history, static)
-                    variant.integrate(history, outputs[each], static)
+                    simulator.integrate(history, outputs[each], static)
+                elif isinstance(variant, CapturedStepper):
+                    variant(history, static)
+                    outputs[each] = variant.normalised
                 whole = clock.now() - began
                 if turn == 0:
                     continue  # warms up
                 # Parts in a step of their own, so that waiting for a GPU between them does not count in the whole.
-                with clock.watching(variant):
+                with clock.watching(variant) as watched:
                     began = clock.now()
-                    variant(history, static)
+                    watched(history, static)
                     rest = clock.now() - began - sum(clock.seconds.values())
                 times[each].append({**clock.seconds, "rest": rest, "step": whole})
                 on_gpu = torch.cuda.max_memory_allocated() if device == "cuda" else 0

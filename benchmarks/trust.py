@@ -214,7 +214,7 @@ def judge(number: int, trial: Trial, checkpoint: Checkpoint, members: list[Check
 
     early = seen.time <= tau + 1e-9
     others = [cut(thin_trajectory(whole, mpm, 0, every, offset), 1) for offset in OFFSETS]
-    duration = steps * interval
+    duration, own = steps * interval, checkpoint.simulator
     return Row(
         scene=scene.name, group=trial.group, number=number, particles=made.num_particles,
         runout=float(ours["runout_99"][-1]), reference=float(reference[-1]),
@@ -223,8 +223,8 @@ def judge(number: int, trial: Trial, checkpoint: Checkpoint, members: list[Check
         position_error=error(float(away[-1])),
         start=float(seen.mean[0]), early=seen.early(tau), far=float(seen.far[early].max()),
         share=float(seen.share[early].max()), scene_beyond=int(bool(seen.reasons)),
-        members=ensemble_bands([checkpoint, *members], [start], duration=duration).width / scale,
-        placements=ensemble_bands([checkpoint], [start, *others], duration=duration).width / scale,
+        members=ensemble_bands([own, *(each.simulator for each in members)], [start], duration=duration).width / scale,
+        placements=ensemble_bands([own], [start, *others], duration=duration).width / scale,
         left=math.nan if seen.left_at is None else seen.left_at / tau,
         wrong=first(np.abs(ours["runout_99"] - reference[:shown]) / scale > 0.1), lost=first(away > 2),
         frames=tau / interval,

@@ -94,6 +94,17 @@ def make_simulator(**changes: object) -> Simulator:
     return simulator.eval()
 
 
+class CallStepper:
+    """A stepper of a function of history and scenes, in the place of a simulator's step."""
+
+    def __init__(self, simulator: Simulator, step: Callable[[torch.Tensor, Static], torch.Tensor]) -> None:
+        self.step = step
+        self.config, self.device, self.history_length = simulator.config, simulator.device, simulator.history_length
+
+    def __call__(self, history: torch.Tensor, static: Static) -> torch.Tensor:
+        return self.step(history, static)
+
+
 def make_static(number: int, *, graphs: int = 1, gravity: tuple[float, ...] = (0.0, 0.0, -9.81)) -> Static:
     """Static tensors of `graphs` equal scenes of `number` particles each, in a unit box."""
     dim = len(gravity)

@@ -12,7 +12,7 @@ import torch.distributed as dist
 
 from gns_pl.graph import radius_graph
 from gns_pl.rollout import rollout
-from gns_pl.rollout.distributed import SlabSimulator, cut_slabs
+from gns_pl.rollout.distributed import cut_slabs, distribute
 from gns_pl.scene import FACES, Wall, column_collapse
 from gns_pl.trajectory import Trajectory
 from tests.conftest import SAND, make_simulator, make_start, start_processes
@@ -47,7 +47,7 @@ def step_together(rank: int, size: int, meeting: str, settings: dict[str, Any], 
     dist.init_process_group("gloo", init_method=f"file://{meeting}", rank=rank, world_size=size)
     simulator = make_simulator(output="gated", **settings)
     simulator.network.compiled_edges = compiled
-    frames = rollout(simulator, wide_column(), 6, step=SlabSimulator(simulator)).position
+    frames = rollout(distribute(simulator), wide_column(), 6).position
     np.save(f"{out}-{rank}.npy", frames)
     dist.destroy_process_group()
 

@@ -17,6 +17,7 @@ from tests.conftest import make_simulator, make_start
 MEASURE = """
 import math, resource, sys, torch
 from tests.conftest import SAND, make_simulator, make_start
+from gns_pl.graph import radius_graph
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.rollout.memory import estimate_bytes
 from gns_pl.scene import FACES, Wall, column_collapse
@@ -34,7 +35,7 @@ with torch.inference_mode():
     small, large = prepare(0.3), prepare(length)
     simulator(*small)
     config = simulator.config
-    edges = simulator.search(large[0][:, -1], config.connectivity_radius).shape[1]
+    edges = radius_graph(large[0][:, -1], config.connectivity_radius).shape[1]
     nodes = math.prod(large[1].grid(config.connectivity_radius).shape)
     estimate = estimate_bytes(config, len(large[0]), edges, in_blocks=True, nodes=nodes)
     used = next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith("VmData"))

@@ -10,11 +10,11 @@ from gns_pl.errors import InputError
 from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import Run, rollout, unroll
 from gns_pl.rollout.engine import history_of, static_of
-from gns_pl.rollout.rest import STEPS, Rest, SleepingStep
+from gns_pl.rollout.rest import STEPS, Rest, SleepingStepper
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.trajectory import Trajectory
-from tests.conftest import SAND, make_simulator, make_start
+from tests.conftest import SAND, CallStepper, make_simulator, make_start
 
 
 def long_column() -> Scene:
@@ -28,9 +28,9 @@ def long_column() -> Scene:
 def test_nobody_sleeps_at_once_and_while_all_move_the_steps_are_the_same(column: Scene) -> None:
     simulator, start = make_simulator(output="gated", context=True), make_start(column)
     plain = rollout(simulator, start, 8).position
-    sleeping = SleepingStep(simulator, speed=1e-9)
+    sleeping = SleepingStepper(simulator, speed=1e-9)
     assert sleeping.history_length == STEPS + 1
-    np.testing.assert_array_equal(rollout(simulator, start, 8, step=sleeping).position, plain)
+    np.testing.assert_array_equal(rollout(sleeping, start, 8).position, plain)
     assert bool(sleeping.awake.all())
 
 
@@ -44,7 +44,7 @@ def with_sleepers(simulator: Simulator) -> tuple[torch.Tensor, torch.Tensor, tor
     """A step's positions in full and with sleepers, and who is awake: one end moves, the rest has long been still."""
     start = make_start(long_column())
     history, static = long_still(start), static_of(start)
-    step = SleepingStep(simulator, speed=0.01)
+    step = SleepingStepper(simulator, speed=0.01)
     moving = history[:, -1, 0] > 2.5
     history[moving, :-1, 0] -= 0.01
     position = step(history, static)
@@ -63,7 +63,7 @@ def test_what_is_awake_moves_as_in_the_full_step_of_two_layers() -> None:
 def test_sleepers_stay_where_they_are_and_wake_by_contact() -> None:
     simulator, start = make_simulator(), make_start(long_column())
     history, static = long_still(start), static_of(start)
-    step = SleepingStep(simulator, speed=0.01)
+    step = SleepingStepper(simulator, speed=0.01)
     with torch.inference_mode():
         position = step(history, static)
         assert not bool(step.awake.any())
@@ -101,7 +101,8 @@ def test_a_run_ends_where_its_scene_rests(drop: Scene, column: Scene) -> None:
         moved[number if len(moved) > number else 0 :] += 0.001 * count
         return moved
 
-    made = list(unroll(simulator, [Run(start, 12) for start in starts], step, rest=Rest(speed=0.01)))
+    stepper = CallStepper(simulator, step)
+    made = list(unroll(stepper, [Run(start, 12) for start in starts], rest=Rest(speed=0.01)))
     assert [0 in parts for parts in made] == [True] * (3 + STEPS) + [False] * (9 - STEPS)
     assert all(1 in parts for parts in made)
 
@@ -115,7 +116,7 @@ def test_a_run_that_goes_on_sleeps_as_the_one_that_never_stopped(column: Scene) 
         moved[:, 0] += torch.where(fast, 0.01, 0.001)
         return moved
 
-    stable = stabilise(simulator, sleep=0.5, step=step)
+    stable = stabilise(CallStepper(simulator, step), sleep=0.5)
     whole = rollout(stable, start, 20).position
     asleep = (np.diff(whole[9:], axis=0) == 0).all(axis=2)
     assert asleep.any() and not asleep.all()
@@ -130,7 +131,7 @@ def test_unknown_positions_before_the_start_are_motion(column: Scene) -> None:
     history = history_of(Run(start, 1), simulator.config, STEPS + 1)
     assert history.shape[1] == STEPS + 1
     assert bool(history[:, : STEPS + 1 - simulator.config.input_sequence_length].isnan().all())
-    step = SleepingStep(simulator, speed=1e6)
+    step = SleepingStepper(simulator, speed=1e6)
     with torch.inference_mode():
         step(history, static_of(start))
     assert bool(step.awake.all())

@@ -16,7 +16,7 @@ from gns_pl.rollout.engine import history_of, static_of
 from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import Scene
-from tests.conftest import make_simulator, make_start
+from tests.conftest import CallStepper, make_simulator, make_start
 
 
 def wild() -> Simulator:
@@ -102,7 +102,7 @@ def test_limits_that_make_no_sense_are_refused(settings: dict[str, float]) -> No
 
 def test_who_sleeps_does_so_where_no_message_can_be_saved(column: Scene) -> None:
     simulator, start = make_simulator(output="gated"), make_start(column)
-    stable = stabilise(simulator, sleep=100.0, step=lambda history, static: simulator(history, static))
+    stable = stabilise(CallStepper(simulator, simulator), sleep=100.0)
     made = rollout(stable, start, 12).position
     np.testing.assert_array_equal(made[5:], np.repeat(made[5:6], len(made) - 5, axis=0))
     assert np.abs(made[4] - made[0]).max() > 0

@@ -9,8 +9,8 @@ import numpy as np
 
 from gns_pl.metrics.curves import compute_curves
 from gns_pl.metrics.measures import Floats
-from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.rollout import rollout
+from gns_pl.rollout.stepper import Stepper
 from gns_pl.trajectory import Trajectory
 
 
@@ -57,26 +57,26 @@ class Bands:
 
 
 def ensemble_bands(
-    checkpoints: Sequence[Checkpoint], starts: Sequence[Trajectory], *, duration: float, name: str = "runout_99"
+    steppers: Sequence[Stepper], starts: Sequence[Trajectory], *, duration: float, name: str = "runout_99"
 ) -> Bands:
     """Run every simulator from every start and return a measure of all.
 
     Args:
-        checkpoints: several trainings, or one; snapshots of one training are too much alike (docs/trust.md).
+        steppers: of several trainings, or one; snapshots of one training are too much alike (docs/trust.md).
         starts: one scene placed once or several times (`solvers.learned.start_of` with several seeds), one frame each.
         duration: to the last frame [s].
         name: in `CURVES`.
 
     Returns:
-        Curves at the time step of the first checkpoint.
+        Curves at the time step of the first.
     """
-    interval = checkpoints[0].simulator.config.dt
+    interval = steppers[0].config.dt
     number = round(duration / interval) + 1
     members = []
-    for checkpoint in checkpoints:
-        dt = checkpoint.simulator.config.dt
+    for stepper in steppers:
+        dt = stepper.config.dt
         for start in starts:
-            made = rollout(checkpoint.simulator, start, int(np.ceil(duration / dt - 1e-6)))
+            made = rollout(stepper, start, int(np.ceil(duration / dt - 1e-6)))
             failed = "failed_at" in made.provenance
             made = made if dt == interval else made.resampled(interval, None if failed else duration)
             values = compute_curves(made)[name][:number]

@@ -76,16 +76,16 @@ def judge_scene(
     from gns_pl.rollout.stabilise import stabilise as stabilised
     from gns_pl.solvers.familiarity import familiarity
 
-    simulator = stabilised(checkpoint.simulator, **(stabilise or {}))
+    stepper = stabilised(checkpoint.simulator, **(stabilise or {}))
     truth, whole = reference.trajectory, reference.whole
     check_reach(truth, checkpoint.simulator.config.connectivity_radius)
     steps = truth.num_frames - given
-    rollout(simulator, truth, min(2, steps), given=given)  # what is compiled at first use is not timed
+    rollout(stepper, truth, min(2, steps), given=given)  # what is compiled at first use is not timed
     with counting(f"{name}: learned rollout", truth.dt) as on_step:
-        learned = rollout(simulator, truth, steps, given=given, on_step=on_step)
+        learned = rollout(stepper, truth, steps, given=given, on_step=on_step)
     with counting(f"{name}: other placements", truth.dt) as on_step:
-        runs = [rollout(simulator, start, steps, given=given, on_step=on_step) for start in reference.starts]
-    kept = {} if simulator is checkpoint.simulator else dict(stabilise or {})
+        runs = [rollout(stepper, start, steps, given=given, on_step=on_step) for start in reference.starts]
+    kept = {} if stepper is checkpoint.simulator else dict(stabilise or {})
     learned = replace(learned, provenance={**learned.provenance, "stabilise": kept})
     finite = num_finite_frames(learned)
     failed_at = finite * learned.dt if finite < truth.num_frames else None

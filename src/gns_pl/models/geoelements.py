@@ -19,14 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features
-from gns_pl.models.simulator import Simulator, SimulatorConfig
+from gns_pl.graph import Static, edge_features, radius_graph
+from gns_pl.models.simulator import Network, Search, Simulator, SimulatorConfig
 from gns_pl.nn import in_float32
 
 EDGE_UPDATES = ("residual", "legacy_doubling")
@@ -45,6 +45,9 @@ class FrameConfig(SimulatorConfig):
     Raises:
         InputError: values that make no such simulator.
     """
+
+    exact_steps: ClassVar[bool] = True
+    self_loops: ClassVar[bool] = True
 
     num_types: int = 9
     type_size: int = 16
@@ -112,15 +115,16 @@ class FrameSimulator(Simulator):
         width = (config.input_sequence_length + 1) * config.dim
         return width + config.type_size + len(config.material_features)
 
-    def features(self, history: Tensor, static: Static) -> tuple[Tensor, Tensor]:
+    def features(self, history: Tensor, static: Static, search: Search | None = None) -> tuple[Tensor, Tensor]:
         """Return what every particle knows of itself [N, F], and the edges [2, E], also from each to itself.
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
             static: the scenes.
+            search: as of `Simulator.features`.
         """
         config, position = self.config, history[:, -1]
-        edge_index = self.search(
+        edge_index = (search or radius_graph)(
             position,
             config.connectivity_radius,
             static.batch,
@@ -143,16 +147,20 @@ class FrameSimulator(Simulator):
         names += ["type"] * config.type_size + list(config.material_features)
         return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
 
-    def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
+    def normalised_acceleration(
+        self, history: Tensor, static: Static, *, search: Search | None = None, network: Network | None = None
+    ) -> Tensor:
         """Return the network's (ẍ − `acceleration_mean`) / `acceleration_std`, gravity in it [N, D].
 
         Args:
             history: [N, H, D] [m].
             static: the scenes.
+            search: as of `Simulator.features`.
+            network: evaluated in the place of the simulator's own.
         """
-        node, edge_index = self.features(history, static)
+        node, edge_index = self.features(history, static, search)
         edge = edge_features(history[:, -1], edge_index, self.config.connectivity_radius)
-        output: Tensor = self.network(node, edge, edge_index)
+        output: Tensor = (network or self.network)(node, edge, edge_index)
         return output
 
     def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +20,12 @@ from gns_pl.graph.features import in_precision
 from gns_pl.nn import EncodeProcessDecode, in_float32
 
 OUTPUTS = ("acceleration", "gated")
+
+Search = Callable[..., Tensor]
+"""Finds neighbours: arguments and result of `radius_graph`."""
+
+Network = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""Node features [N, F], edge features [E, F'] and edges [2, E] → outputs [N, O]."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,12 @@ class SimulatorConfig:
     output: str
     context: bool
     neighbours: str
+
+    exact_steps: ClassVar[bool] = False
+    """Its steps have to stay equal to another program's, so nothing may stabilise them."""
+
+    self_loops: ClassVar[bool] = False
+    """Its graphs have edges from a particle to itself."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particle_types", tuple(self.particle_types))
@@ -100,8 +112,6 @@ class Simulator(nn.Module):
     Args:
         config: its shape.
 
-    Attributes:
-        search: finds the neighbours, with the arguments and the result of `radius_graph`.
     """
 
     velocity_scale: Tensor
@@ -112,7 +122,6 @@ class Simulator(nn.Module):
     def __init__(self, config: SimulatorConfig) -> None:
         super().__init__()
         self.config = config
-        self.search: Callable[..., Tensor] = radius_graph
         features = len(config.material_features)
         self.register_buffer("velocity_scale", torch.ones(()))
         self.register_buffer("acceleration_scale", torch.ones(()))
@@ -125,6 +134,16 @@ class Simulator(nn.Module):
             num_mlp_layers=config.num_mlp_layers,
             num_message_passing_steps=config.num_message_passing_steps,
         )
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self.velocity_scale.device
+
+    @property
+    def history_length(self) -> int:
+        """Positions that a step looks at, H."""
+        return self.config.input_sequence_length
 
     def node_width(self) -> int:
         """Return the width of the node features."""
@@ -155,17 +174,18 @@ class Simulator(nn.Module):
         self.acceleration_scale.fill_(acceleration)
         self.material_scale.copy_(material)
 
-    def features(self, history: Tensor, static: Static) -> tuple[Tensor, Tensor]:
+    def features(self, history: Tensor, static: Static, search: Search | None = None) -> tuple[Tensor, Tensor]:
         """Return what every particle knows of itself [N, F], and the edges [2, E].
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
             static: the scenes.
+            search: finds the neighbours, with the arguments and the result of `radius_graph`, which it is without one.
         """
         config = self.config
         position = history[:, -1]
         velocity = history.diff(dim=1) / config.dt
-        edge_index = self.search(
+        edge_index = (search or radius_graph)(
             position,
             config.connectivity_radius,
             static.batch,
@@ -214,7 +234,9 @@ class Simulator(nn.Module):
         names += config.material_features
         return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
 
-    def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
+    def normalised_acceleration(
+        self, history: Tensor, static: Static, *, search: Search | None = None, network: Network | None = None
+    ) -> Tensor:
         """Return the network's (a − g) / `acceleration_scale` [N, D].
 
         It is a contact force over a mass, so it is exactly zero for a particle that has neither a neighbour nor a wall
@@ -223,12 +245,14 @@ class Simulator(nn.Module):
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
             static: the scenes.
+            search: as of `features`.
+            network: evaluated in the place of the simulator's own.
         """
         config = self.config
         position, velocity = history[:, -1], history.diff(dim=1) / config.dt
-        node, edge_index = self.features(history, static)
+        node, edge_index = self.features(history, static, search)
         edge = edge_features(position, edge_index, config.connectivity_radius)
-        output: Tensor = self.network(node, edge, edge_index)
+        output: Tensor = (network or self.network)(node, edge, edge_index)
         if config.output == "gated":
             increment, gate = output.chunk(2, dim=1)
             falling = velocity[:, -1] / config.dt + static.of_particles(static.gravity)  # (v + g Δt) / Δt
@@ -281,12 +305,17 @@ class Simulator(nn.Module):
         position = torch.where(step.abs() > upper - lower, torch.nan, position)
         return torch.where(static.moved[:, None], position, history[:, -1])
 
-    def forward(self, history: Tensor, static: Static) -> Tensor:
+    def forward(
+        self, history: Tensor, static: Static, *, search: Search | None = None, network: Network | None = None
+    ) -> Tensor:
         """Return the positions one step later [N, D] [m], in the weights' precision.
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
             static: the scenes.
+            search: as of `features`.
+            network: evaluated in the place of the simulator's own.
         """
         history, static = in_precision(history, static, self.velocity_scale.dtype)
-        return self.integrate(history, self.normalised_acceleration(history, static), static)
+        normalised = self.normalised_acceleration(history, static, search=search, network=network)
+        return self.integrate(history, normalised, static)

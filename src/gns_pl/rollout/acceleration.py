@@ -13,11 +13,11 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import NeighbourList, Static
-from gns_pl.models.geoelements import FrameSimulator
-from gns_pl.models.simulator import Simulator
+from gns_pl.graph import NeighbourList, Static, radius_graph
+from gns_pl.models.simulator import Network, Simulator, SimulatorConfig
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.nn.encode_process_decode import FUSED_WIDTHS, has_triton
+from gns_pl.rollout.stepper import SimulatorStepper, Stepper
 
 PRECISIONS = ("float32", "tf32", "bfloat16")
 
@@ -36,8 +36,8 @@ def accelerate(
     precision: str = "float32",
     compiled: bool = False,
     captured: bool = False,
-) -> Simulator:
-    """Return a simulator with the same weights that makes the same steps in another way.
+) -> Stepper:
+    """Return what makes a simulator's steps in another way, with the same weights.
 
     Args:
         simulator: stays as it is.
@@ -56,16 +56,12 @@ def accelerate(
         raise InputError(f"acceleration.precision must be one of {', '.join(PRECISIONS)}, not {precision!r}.")
     if captured and (skin or compiled):
         raise InputError("acceleration.captured stands alone: with skin=0 and compiled=false.")
-    if captured and isinstance(simulator, FrameSimulator):
+    if captured and simulator.config.self_loops:
         raise InputError("acceleration.captured knows no edges from a particle to itself, which this simulator has.")
     if captured and not can_capture(simulator):
         raise InputError(
             f"acceleration.captured needs a GPU with Triton, a latent_size of {', '.join(map(str, FUSED_WIDTHS))}."
         )
-    fast = copy.copy(simulator)
-    fast._modules = dict(simulator._modules)  # else it would share the table of modules, and the other's network change
-    if skin:
-        fast.search = NeighbourList(skin)
     network = cast(nn.Module, simulator.network)
     if captured:
         network = copy.copy(network)  # its kernels' weights, which the graph points at, are then nobody else's
@@ -73,19 +69,18 @@ def accelerate(
         network = Padded(_compile(network), EDGE_BUDGET)
     if precision != "float32":
         network = InPrecision(network, precision)
-    fast._modules["network"] = network
     if captured:
-        fast.forward = CapturedStep(fast)  # type: ignore[method-assign]
-    return fast
+        return CapturedStepper(simulator, network)
+    return SimulatorStepper(simulator, NeighbourList(skin) if skin else radius_graph, network)
 
 
 def can_capture(simulator: Simulator) -> bool:
     """Return whether steps of a simulator can become CUDA graphs."""
-    on_gpu = simulator.velocity_scale.device.type == "cuda" and has_triton()
+    on_gpu = simulator.device.type == "cuda" and has_triton()
     return on_gpu and simulator.config.latent_size in FUSED_WIDTHS
 
 
-class CapturedStep:
+class CapturedStepper:
     """Steps of a simulator as a CUDA graph: some hundred kernels for one start.
 
     The graph holds for a number of particles and for the scenes; of the edges it holds as many as there is room for. A
@@ -93,20 +88,36 @@ class CapturedStep:
 
     Args:
         simulator: whose steps these are, on a GPU; without gradients.
+        network: evaluated in the place of the simulator's own.
 
     Attributes:
         normalised: of the latest step, the network's (a − g) / `acceleration_scale` [N, D].
     """
 
-    def __init__(self, simulator: Simulator) -> None:
+    def __init__(self, simulator: Simulator, network: Network) -> None:
         from gns_pl.graph.bounded import BoundedSearch
 
-        self.simulator = copy.copy(simulator)
-        self.simulator.search = self._search = BoundedSearch(0)
+        self._search = BoundedSearch(0)
+        self._stepper = SimulatorStepper(simulator, self._search, network)
         self.normalised = torch.empty(0)
         self._graph: torch.cuda.CUDAGraph | None = None
         self._static: Static | None = None
         self._history = self._position = torch.empty(0)
+
+    @property
+    def config(self) -> SimulatorConfig:
+        """Of the simulator."""
+        return self._stepper.config
+
+    @property
+    def history_length(self) -> int:
+        """H."""
+        return self._stepper.history_length
+
+    @property
+    def device(self) -> torch.device:
+        """Of the simulator's weights."""
+        return self._stepper.device
 
     def __call__(self, history: Tensor, static: Static) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator."""
@@ -121,7 +132,7 @@ class CapturedStep:
 
     def _capture(self, history: Tensor, static: Static) -> None:
         self._graph = None  # its memory goes back first
-        config = self.simulator.config
+        config = self.config
         self._search(history[:, -1], config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
         self._search.capacity = EDGE_BUDGET * math.ceil(ROOM * int(self._search.wanted) / EDGE_BUDGET + 1)
         self._history, self._static = history.clone(), static
@@ -138,8 +149,8 @@ class CapturedStep:
 
     def _step(self) -> None:
         static = cast(Static, self._static)
-        self.normalised = self.simulator.normalised_acceleration(self._history, static)
-        self._position = self.simulator.integrate(self._history, self.normalised, static)
+        self.normalised = self._stepper.normalised_acceleration(self._history, static)
+        self._position = self._stepper.simulator.integrate(self._history, self.normalised, static)
 
 
 def _compile(network: nn.Module) -> nn.Module:

@@ -10,19 +10,18 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.distributed as dist
-from torch import Tensor, nn
+from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, radius_graph
-from gns_pl.models.geoelements import FrameSimulator
-from gns_pl.models.simulator import Simulator
 from gns_pl.nn import EncodeProcessDecode
+from gns_pl.rollout.stepper import Stepper, opened
 
 
 @dataclass(frozen=True)
@@ -67,33 +66,49 @@ def cut_slabs(position: Tensor, radius: float, rank: int, size: int) -> Slab:
     return Slab(own, halo, send, receive)
 
 
-class SlabSimulator:
-    """Makes the steps of a simulator together with the other processes of a group; all of them end with all positions.
+def distribute(stepper: Stepper, group: dist.ProcessGroup | None = None) -> Stepper:
+    """Return what makes the same steps together with the other processes of a group, each of which calls this.
 
     Args:
-        simulator: stays as it is.
+        stepper: stays as it is; alone in the group it comes back.
         group: of processes; all there are if None.
 
     Raises:
-        InputError: a simulator whose messages belong to both ends.
+        InputError: a step that cannot be shared out.
+    """
+    size = dist.get_world_size(group) if dist.is_initialized() else 1
+    return stepper if size == 1 else SlabStepper(stepper, group)
+
+
+class SlabStepper:
+    """Makes steps together with the other processes of a group; all of them end with all positions.
+
+    Args:
+        stepper: stays as it is.
+        group: of processes; all there are if None.
+
+    Raises:
+        InputError: a step that cannot be shared out.
     """
 
-    def __init__(self, simulator: Simulator, group: dist.ProcessGroup | None = None) -> None:
+    def __init__(self, stepper: Stepper, group: dist.ProcessGroup | None = None) -> None:
         self.group, self.rank, self.size = group, dist.get_rank(group), dist.get_world_size(group)
         self.slab: Slab | None = None
-        self.simulator = copy.copy(simulator)
-        if isinstance(simulator, FrameSimulator):
+        self.config, self.device, self.history_length = stepper.config, stepper.device, stepper.history_length
+        if stepper.config.self_loops:
             raise InputError("several processes share no run with edges from a particle to itself, as this one has.")
-        network = copy.copy(simulator.network)
-        if not isinstance(network, EncodeProcessDecode):
-            raise InputError("several processes share the edges of a run by their receivers; output=pairs has no such.")
-        network.exchange = self._exchange
-        self.simulator._modules = {**simulator._modules, "network": _Local(network, lambda: self._current)}
-        self.simulator.search = self._search
+        single = opened(stepper)
+        if single is None or not isinstance(single.network, EncodeProcessDecode):
+            raise InputError(
+                "several processes share a run step by step: leave out acceleration.precision, compiled and captured."
+            )
+        self._network = copy.copy(single.network)
+        self._network.exchange = self._exchange
+        self._stepper = replace(single, search=self._search, network=self._evaluate)
 
     def __call__(self, history: Tensor, static: Static) -> Tensor:
         """Return the positions one step later [N, D] [m]; arguments as the simulator's."""
-        position: Tensor = self.simulator(history, static)
+        position = self._stepper(history, static)
         others = torch.ones(len(position), dtype=torch.bool, device=position.device)
         others[self._current.own] = False
         position[others] = 0.0
@@ -116,6 +131,17 @@ class SlabSimulator:
         owned[self.slab.own] = True
         edges = local[edges]
         return edges[:, owned[edges[1]]]
+
+    def _evaluate(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
+        """Evaluate the network on the slab and its halo, with features and output of all particles."""
+        slab = self._current
+        local = torch.cat([slab.own, slab.halo])
+        number = torch.empty(len(node), dtype=torch.int64, device=node.device)
+        number[local] = torch.arange(len(local), device=node.device)
+        output = self._network(node[local], edge, number[edge_index])
+        everywhere: Tensor = output.new_zeros(len(node), output.shape[1])
+        everywhere[slab.own] = output[: len(slab.own)]
+        return everywhere
 
     def _exchange(self, node: Tensor) -> None:
         """Send what others need of the states of this process's particles, and fill in its halo."""
@@ -167,21 +193,3 @@ def share_of_memory(device: torch.device) -> float:
         return 1.0
     here = 1 if device.type == "cuda" else int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
     return here / dist.get_world_size()
-
-
-class _Local(nn.Module):
-    """The network on the particles of a slab and its halo, with features and output of all."""
-
-    def __init__(self, network: EncodeProcessDecode, slab: Callable[[], Slab]) -> None:
-        super().__init__()
-        self.network, self.slab = network, slab
-
-    def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
-        slab = self.slab()
-        local = torch.cat([slab.own, slab.halo])
-        number = torch.empty(len(node), dtype=torch.int64, device=node.device)
-        number[local] = torch.arange(len(local), device=node.device)
-        output = self.network(node[local], edge, number[edge_index])
-        everywhere: Tensor = output.new_zeros(len(node), output.shape[1])
-        everywhere[slab.own] = output[: len(slab.own)]
-        return everywhere

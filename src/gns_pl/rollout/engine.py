@@ -20,9 +20,10 @@ from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
 from gns_pl.machine import machine_name
-from gns_pl.models.simulator import Simulator, SimulatorConfig
+from gns_pl.models.simulator import SimulatorConfig
 from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.rest import Rest
+from gns_pl.rollout.stepper import Stepper
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 
@@ -101,21 +102,19 @@ def check_run(run: Run, config: SimulatorConfig) -> None:
 
 
 def unroll(
-    simulator: Simulator,
+    stepper: Stepper,
     runs: Sequence[Run],
-    step: Callable[[Tensor, Static], Tensor] | None = None,
     *,
     rest: Rest | None = None,
     watches: Sequence[Watch | None] | None = None,
 ) -> Iterator[dict[int, Tensor]]:
-    """Step scenes together, on the device the simulator's weights are on, until each has made its steps.
+    """Step scenes together, on the stepper's device, until each has made its steps.
 
     A scene whose positions stop being finite is stepped no more, and neither is one that is done; the others go on.
 
     Args:
-        simulator: makes one step.
+        stepper: makes one step: a simulator, or what wraps one.
         runs: the scenes.
-        step: what makes the steps in the simulator's place, with the same arguments and result.
         rest: by which scenes end that have come to rest; None makes all their steps.
         watches: of the scenes, which end at what theirs calls a failure, after that frame; None watches nothing.
 
@@ -126,12 +125,10 @@ def unroll(
         InputError: a start that does not fit the simulator.
     """
     for run in runs:
-        check_run(run, simulator.config)
-    step = simulator if step is None else step
-    device = simulator.velocity_scale.device
+        check_run(run, stepper.config)
+    device, length = stepper.device, stepper.history_length
     active = [number for number, run in enumerate(runs) if run.num_steps > 0]
-    frames = getattr(getattr(step, "forward", step), "history_length", 0)  # of what looks further back
-    histories = {number: history_of(runs[number], simulator.config, frames).to(device) for number in active}
+    histories = {number: history_of(runs[number], stepper.config, length).to(device) for number in active}
     count = 0
     while active:
         static = static_of(*(runs[number].start for number in active)).to(device)
@@ -141,7 +138,7 @@ def unroll(
         going = active
         while going == active:
             count += 1
-            position = step(history, static)
+            position = stepper(history, static)
             if len(scripted):
                 frames = [runs[number].start.position[runs[number].made + count] for number in active]
                 position = position.index_put((scripted,), _tensor(frames, device)[scripted])
@@ -158,7 +155,7 @@ def unroll(
             yield finite
             if rest is not None:
                 last = dict(zip(active, torch.split(before, lengths), strict=True))
-                dt = simulator.config.dt
+                dt = stepper.config.dt
                 going = [number for number in going if not rest.reached(number, last[number], finite[number], dt)]
         histories = dict(zip(active, torch.split(history, lengths), strict=True))
         active = going
@@ -179,27 +176,25 @@ def _tensor(frames: Sequence[NDArray[np.float32]], device: torch.device) -> Tens
 
 
 def rollout(
-    simulator: Simulator,
+    stepper: Stepper,
     start: Trajectory,
     num_steps: int,
     *,
     given: int = 1,
-    step: Callable[[Tensor, Static], Tensor] | None = None,
     rest: Rest | None = None,
     watch: Watch | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
-    """Unroll `simulator` from the first frames of `start`, on the device its weights are on.
+    """Unroll a simulator from the first frames of `start`, on the device its weights are on.
 
     The loop ends early at the first frame that is not finite; the frames before it are returned.
 
     Args:
-        simulator: makes one step.
+        stepper: makes one step: a simulator, or what wraps one.
         start: its first `given` frames, initial velocity, types, material and scene are used; later frames only for
             kinematic particles, whose script they are.
         num_steps: frames to add.
         given: frames of `start` that are taken as they are; the steps go on from the last of them.
-        step: what makes the steps in the simulator's place, as of `acceleration`.
         rest: by which the loop ends early when the scene has come to rest.
         watch: by which it ends early at a failure; the frame that failed is the last one.
         on_step: called with the number of steps made and `num_steps`.
@@ -216,7 +211,7 @@ def rollout(
     frames = list(past)
     began = time.perf_counter()
     with torch.inference_mode():
-        for parts in unroll(simulator, [Run(start, num_steps, past, given - 1)], step, rest=rest, watches=[watch]):
+        for parts in unroll(stepper, [Run(start, num_steps, past, given - 1)], rest=rest, watches=[watch]):
             finite = 0 in parts
             if finite:
                 frames.append(parts[0].cpu().numpy())
@@ -226,11 +221,11 @@ def rollout(
     if watch is not None and watch.failure is not None:
         provenance |= {"failed_at": watch.failure.time, "failure": watch.failure.sentence}
     elif not finite:
-        provenance["failed_at"] = len(frames) * simulator.config.dt
+        provenance["failed_at"] = len(frames) * stepper.config.dt
     elif len(frames) < num_steps + given:
-        provenance["at_rest_from"] = (len(frames) - 1) * simulator.config.dt
+        provenance["at_rest_from"] = (len(frames) - 1) * stepper.config.dt
     provenance["wall_seconds"] = time.perf_counter() - began
-    provenance["device"] = str(simulator.velocity_scale.device)
+    provenance["device"] = str(stepper.device)
     provenance["num_threads"] = torch.get_num_threads()
     provenance["machine"] = machine_name()
-    return replace(start, position=np.stack(frames), dt=simulator.config.dt, provenance=provenance)
+    return replace(start, position=np.stack(frames), dt=stepper.config.dt, provenance=provenance)

@@ -9,8 +9,9 @@ import torch
 from gns_pl.errors import InputError
 from gns_pl.graph import context_bytes, radius_graph
 from gns_pl.machine import free_memory
-from gns_pl.models.simulator import Simulator, SimulatorConfig
+from gns_pl.models.simulator import SimulatorConfig
 from gns_pl.rollout.engine import Run, history_of, static_of
+from gns_pl.rollout.stepper import Stepper
 
 ROOM = 1.2
 """More edges than at the start: a heap is denser than a body at rest before it falls."""
@@ -52,23 +53,23 @@ def estimate_bytes(
     return int(max(node + searched, share * (node + max(making_features, features + states))))
 
 
-def check_memory(simulator: Simulator, runs: list[Run], share: float = 1.0) -> str:
+def check_memory(stepper: Stepper, runs: list[Run], share: float = 1.0) -> str:
     """Return in words what the steps of scenes need and what there is.
 
     Args:
-        simulator: makes the steps.
+        stepper: makes the steps.
         runs: the scenes.
         share: of edges and states that this memory holds, where several processes share a run.
 
     Raises:
         InputError: less is free than is needed.
     """
-    config, device = simulator.config, simulator.velocity_scale.device
+    config, device = stepper.config, stepper.device
     static = static_of(*(run.start for run in runs))
     position = torch.cat([history_of(run, config)[:, -1] for run in runs])
     radius, graphs = config.connectivity_radius, static.num_graphs
     edges = radius_graph(position, radius, static.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
-    blocks = device.type == "cpu" and config.output != "pairs"
+    blocks = device.type == "cpu"
     nodes = math.prod(static.grid(radius).shape) if config.context else 0
     needed = estimate_bytes(
         config, len(position), int(ROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share

@@ -6,16 +6,14 @@ is and gets no messages; what is awake still feels it. It wakes when a neighbour
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
-from typing import cast
+from dataclasses import replace
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
-from gns_pl.models.simulator import Simulator
+from gns_pl.graph import Static, radius_graph
+from gns_pl.rollout.stepper import Stepper, opened
 
 STEPS = 5
 """A particle that was still for so many steps sleeps; a scene whose particles all were is at rest."""
@@ -56,13 +54,12 @@ class Rest:
         return scene in self.rested
 
 
-class SleepingStep:
-    """Steps of a simulator in which particles at rest sleep.
+class SleepingStepper:
+    """Steps in which particles at rest sleep.
 
     Args:
-        simulator: whose steps these are; without gradients.
+        stepper: makes the steps, without gradients. One whose step is closed passes all messages.
         speed: below which a particle is still [m/s].
-        step: what makes the simulator's steps in its place. Nobody looks into it, so it passes all messages.
 
     Whether somebody sleeps depends on the latest positions alone, so that a run that goes on later goes on as it was.
 
@@ -72,65 +69,45 @@ class SleepingStep:
             and nobody sleeps then.
     """
 
-    def __init__(
-        self,
-        simulator: Simulator,
-        speed: float,
-        step: Callable[[Tensor, Static], Tensor] | None = None,
-    ) -> None:
-        self.simulator = copy.copy(simulator)
-        self._step, self._search = step, simulator.search
-        if step is None and "forward" in vars(simulator):
-            self._step = simulator
-        if self._step is None:
-            self.simulator.search = self._find
-            self.simulator._modules = dict(simulator._modules)
-            self.simulator._modules["network"] = _Awake(simulator.network, self)
-        self.speed = speed
-        self.awake = self.reached = torch.empty(0, dtype=torch.bool)
-        self.history_length = max(simulator.config.input_sequence_length, STEPS + 1)
-        self._moving = torch.empty(0, dtype=torch.bool)
+    def __init__(self, stepper: Stepper, speed: float) -> None:
+        self._stepper, self._open, self._search = stepper, opened(stepper), radius_graph
+        if self._open is not None:
+            self._search, self._network = self._open.search, self._open.network
+            self._stepper = replace(self._open, search=self._find, network=self._evaluate)
+        self.config, self.device, self.speed = stepper.config, stepper.device, speed
+        self.history_length = max(stepper.history_length, STEPS + 1)
+        self.awake = self._reached = self._moving = torch.empty(0, dtype=torch.bool)
 
     def __call__(self, history: Tensor, static: Static) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
-        step, config = self.speed * self.simulator.config.dt, self.simulator.config
+        step, config = self.speed * self.config.dt, self.config
         slow = history[:, -STEPS - 1 :].diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
         self._moving = ~slow.all(dim=1) if history.shape[1] > STEPS else torch.ones_like(slow[:, 0])
-        recent = history[:, -config.input_sequence_length :]
-        if self._step is None:
-            position = self.simulator(recent, static)
-        else:
+        recent = history[:, -self._stepper.history_length :]
+        if self._open is None:
             self._find(recent[:, -1], config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
-            position = self._step(recent, static)
+        position = self._stepper(recent, static)  # finds out who is awake
         return torch.where(self.awake[:, None], position, history[:, -1])
 
     def _find(self, *arguments: object, **settings: object) -> Tensor:
         """Search neighbours, and find out who sleeps."""
-        edge_index: Tensor = self._search(*arguments, **settings)
+        edge_index: Tensor = self._search(*arguments, **settings)  # type: ignore[arg-type]
         sender, receiver = edge_index
         self.awake = self._moving.index_fill(0, receiver[self._moving[sender]], True)
         # Messages are passed one radius around what is awake: exact for two layers (docs/reductions.md).
-        self.reached = self.awake.index_fill(0, sender[self.awake[receiver]], True)
+        self._reached = self.awake.index_fill(0, sender[self.awake[receiver]], True)
         return edge_index
 
-
-class _Awake(nn.Module):
-    """A network that works on what is awake and what that sees; the others' outputs are zero."""
-
-    def __init__(self, network: nn.Module, step: SleepingStep) -> None:
-        super().__init__()
-        self.network = network
-        self.step = step
-
-    def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
-        reached = self.step.reached
+    def _evaluate(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
+        """Evaluate the network on what is awake and what that sees; the others' outputs are zero."""
+        reached = self._reached
         if bool(reached.all()):
-            return cast(Tensor, self.network(node, edge, edge_index))
+            return self._network(node, edge, edge_index)
         kept = reached[edge_index[1]]
         edge_index, edge = edge_index[:, kept], edge[kept]
         seen = reached.index_fill(0, edge_index[0], True)
         number = seen.cumsum(0) - 1
-        output = cast(Tensor, self.network(node[seen], edge, number[edge_index]))
+        output = self._network(node[seen], edge, number[edge_index])
         whole = output.new_zeros(len(node), output.shape[1])
         whole[seen] = output
         return whole

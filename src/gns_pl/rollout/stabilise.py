@@ -6,17 +6,13 @@ nothing, heaps that never rest. docs/stability.md has what each is worth.
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, radius_graph
-from gns_pl.models.geoelements import FrameSimulator
-from gns_pl.models.simulator import Simulator
-from gns_pl.rollout.rest import SleepingStep
+from gns_pl.rollout.rest import SleepingStepper
+from gns_pl.rollout.stepper import Stepper
 
 SWEEPS = 4
 """Times that all pairs which are too close are moved apart, in a step."""
@@ -25,28 +21,23 @@ ROUNDING = 2e-6
 """Of a scene's energy: by so much it may rise in a step, which is what single precision does to free fall."""
 
 
-Step = Callable[[Tensor, Static], Tensor]
-
-
 def stabilise(
-    simulator: Simulator,
+    stepper: Stepper,
     *,
     sleep: float = 0.0,
     least_distance: float = 0.0,
     passive: bool = False,
-    step: Step | None = None,
-) -> Simulator:
-    """Return a simulator that makes the same steps, where these stay within what sand can do.
+) -> Stepper:
+    """Return what makes the same steps, where these stay within what sand can do.
 
-    A simulator in frames comes back as it is: its steps are those of another program, and equal to them.
+    A simulator whose steps are those of another program, and equal to them, comes back as it is.
 
     Args:
-        simulator: stays as it is; may be one of `acceleration.accelerate`, which goes first.
+        stepper: stays as it is; `acceleration.accelerate` goes first.
         sleep: particles slower than this for some steps, their neighbours too, stay where they are (`rest`) [m/s].
         least_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
         passive: a step that raises the energy of motion and height has its velocities scaled down, all of a scene's by
             one factor, until it does not.
-        step: what makes the simulator's steps in its place, as several processes do.
 
     Raises:
         InputError: a negative limit, or distances that no filling keeps.
@@ -55,37 +46,27 @@ def stabilise(
         raise InputError(f"stabilise.least_distance must lie in [0, 1) spacings, not {least_distance}.")
     if not sleep >= 0:
         raise InputError(f"stabilise.sleep must be a speed of 0 or more, not {sleep}.")
-    if isinstance(simulator, FrameSimulator) and step is None:
-        return simulator
-    if sleep:
-        step = SleepingStep(simulator, sleep, step=step)
-    if step is None and not (least_distance or passive):
-        return simulator
-    stable = copy.copy(simulator)
-    made_by = simulator if step is None else step
-    stable.forward = StableStep(simulator, made_by, least_distance, passive)  # type: ignore[method-assign]
-    return stable
+    if stepper.config.exact_steps or not (sleep or least_distance or passive):
+        return stepper
+    return StableStepper(SleepingStepper(stepper, sleep) if sleep else stepper, least_distance, passive)
 
 
-class StableStep:
-    """Steps of a simulator, corrected one after the other: distances, then energy.
+class StableStepper:
+    """Steps that are corrected one after the other: distances, then energy.
 
     Args:
-        simulator: whose steps these are; without gradients.
-        step: makes them.
+        stepper: makes the steps, without gradients.
         least_distance: as of `stabilise`.
         passive: as of `stabilise`.
     """
 
-    def __init__(self, simulator: Simulator, step: Step, least_distance: float, passive: bool) -> None:
-        self.simulator, self.step = simulator, step
-        self.least_distance, self.passive = least_distance, passive
-        length = simulator.config.input_sequence_length
-        self.history_length: int = getattr(step, "history_length", length)
+    def __init__(self, stepper: Stepper, least_distance: float, passive: bool) -> None:
+        self._stepper, self.least_distance, self.passive = stepper, least_distance, passive
+        self.config, self.device, self.history_length = stepper.config, stepper.device, stepper.history_length
 
     def __call__(self, history: Tensor, static: Static) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
-        position = self.step(history, static)
+        position = self._stepper(history, static)
         if self.least_distance:
             position = self._apart(position, static)
         if self.passive:
@@ -94,7 +75,7 @@ class StableStep:
 
     def _apart(self, position: Tensor, static: Static) -> Tensor:
         """Move particles apart that are too close, each by half of what is missing, some times over."""
-        least = self.least_distance * self.simulator.config.spacing
+        least = self.least_distance * self.config.spacing
         lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
         if not bool(torch.isfinite(position).all()):
             return position
@@ -118,7 +99,7 @@ class StableStep:
         fall keeps. Particles weigh what they fill, exact for one density; a halt is what is left where no s does. Where
         kinematic particles move they do work, and nothing is scaled.
         """
-        dt, before, earlier = self.simulator.config.dt, history[:, -1], history[:, -2]
+        dt, before, earlier = self.config.dt, history[:, -1], history[:, -2]
         gravity, weight = static.of_particles(static.gravity), static.volume
         lowest = static.of_particles(torch.where(static.gravity > 0, static.upper, static.lower))
         velocity, past = (position - before) / dt, (before - earlier) / dt

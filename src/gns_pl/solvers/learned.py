@@ -128,10 +128,10 @@ class LearnedWay(FittedWay):
 
     def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
         """Return the trajectory; arguments as those of `Way`. One that fails (`failure`) ends there."""
-        less, simulator = self.reduced(scene), stabilise(self.checkpoint.simulator, **self.stabilise)
+        less, stepper = self.reduced(scene), stabilise(self.checkpoint.simulator, **self.stabilise)
         start = start_of(less.scene, self.checkpoint, seed, {})
         rest = Rest(self.rest_speed) if self.rest_speed else None
-        made = rollout(simulator, start, self.size(scene)[1], rest=rest, watch=Watch(start, self.interval, every=10))
+        made = rollout(stepper, start, self.size(scene)[1], rest=rest, watch=Watch(start, self.interval, every=10))
         return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
 
 
@@ -218,9 +218,9 @@ class HandedWay(LearnedWay):
     def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
         """Return the trajectory; arguments as those of `Way`."""
         less = self.reduced(scene)
-        simulator = stabilise(self.checkpoint.simulator, **self.stabilise)
+        stepper = stabilise(self.checkpoint.simulator, **self.stabilise)
         early, late = self.shares(scene)
-        past = rollout(simulator, start_of(less.scene, self.checkpoint, seed, {}), early)
+        past = rollout(stepper, start_of(less.scene, self.checkpoint, seed, {}), early)
         made = past if "failed_at" in past.provenance else continued_by_mpm(past, self.settings, late)
         return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
 

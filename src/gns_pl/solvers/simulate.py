@@ -23,15 +23,15 @@ from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
 from gns_pl.models.checkpoint import load_checkpoint, move
 from gns_pl.models.geoelements import cold_start
 from gns_pl.models.shipped import corrector_names, existing_checkpoint, find_checkpoint, is_corrector
-from gns_pl.models.simulator import Simulator
 from gns_pl.rollout.acceleration import accelerate
-from gns_pl.rollout.distributed import SlabSimulator, meet, processes, share_of_memory
+from gns_pl.rollout.distributed import distribute, meet, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
-from gns_pl.rollout.rest import STEPS, Rest
+from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.stabilise import stabilise as stabilised
+from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
 from gns_pl.scene.changes import changed, changes_label, decoded
 from gns_pl.scene.checks import checked_number, checked_numbers
@@ -209,34 +209,33 @@ def simulate(
         scenes = [scene.replace(duration=duration) for scene in scenes]
     move(checkpoint, device, "device")
     fast, settings = accelerate(checkpoint.simulator, **(acceleration or {})), dict(stabilise or {})
-    with processes(fast.velocity_scale.device) as (rank, size), alone(out) if rank == 0 else nullcontext():
+    with processes(fast.device) as (rank, _), alone(out) if rank == 0 else nullcontext():
         meet()  # so that nobody looks at files another run is still writing
-        simulator = stabilised(fast, step=SlabSimulator(fast) if size > 1 else None, **settings)
-        reductions = [plane_of(scene, simulator.config.dim) for scene in scenes]
+        stepper = stabilised(distribute(fast), **settings)
+        reductions = [plane_of(scene, stepper.config.dim) for scene in scenes]
         starts = [start_of(each.scene, checkpoint, seed, identity) for each in reductions]
-        length = max(simulator.config.input_sequence_length, STEPS + 1)
         jobs = [
-            _job(out / f"{start.scene.name}.h5", start, length, reduction)
+            _job(out / f"{start.scene.name}.h5", start, stepper.history_length, reduction)
             for start, reduction in zip(starts, reductions, strict=True)
         ]
         for job in jobs:
-            check_run(job.run, simulator.config)
-            check_reach(job.run.start, simulator.config.connectivity_radius)
+            check_run(job.run, stepper.config)
+            check_reach(job.run.start, stepper.config.connectivity_radius)
         left = [job for job in jobs if job.run.num_steps or job.source != job.path]
         meet()  # all have seen the files as they were
         rest = Rest(rest_speed) if rest_speed else None
-        watches = [_watch(job.run, simulator.config.dt) if watch else None for job in left]
+        watches = [_watch(job.run, stepper.config.dt) if watch else None for job in left]
         if rank:
             with torch.inference_mode():
-                deque(unroll(simulator, [job.run for job in left], rest=rest, watches=watches), maxlen=0)
+                deque(unroll(stepper, [job.run for job in left], rest=rest, watches=watches), maxlen=0)
             return [job.path for job in jobs]
         if left:
             for job in left:
                 if job.reduction.words:
                     print(f"{job.run.start.scene.name}: {job.reduction.words}")
-            if notice := cold_start(simulator.config, checkpoint.provenance):
+            if notice := cold_start(stepper.config, checkpoint.provenance):
                 print(notice)
-            _write(left, simulator, identity, rest, watches)
+            _write(left, stepper, identity, rest, watches)
             for job in left:
                 if sentence := told(checkpoint, job.path, job.reduction):
                     print(f"{job.path}: {sentence}; do not trust it without a look at MPM.")
@@ -281,14 +280,14 @@ def _job(path: Path, start: Trajectory, length: int, reduction: Reduction) -> Jo
 
 def _write(
     jobs: Sequence[Job],
-    simulator: Simulator,
+    stepper: Stepper,
     identity: Mapping[str, object],
     rest: Rest | None,
     watches: Sequence[Watch | None],
 ) -> None:
     """Make the steps of all jobs together and close every file when its scene is done."""
-    dt = simulator.config.dt
-    needs = check_memory(simulator, [job.run for job in jobs], share=share_of_memory(simulator.velocity_scale.device))
+    dt = stepper.config.dt
+    needs = check_memory(stepper, [job.run for job in jobs], share=share_of_memory(stepper.device))
     streams = [_open(job) for job in jobs]
     total = max(job.run.num_steps for job in jobs)
     label = ", ".join(job.run.start.scene.name for job in jobs)
@@ -298,7 +297,7 @@ def _write(
     rested = rest.rested if rest else set()
 
     def finish(number: int, **more: object) -> None:
-        device, threads = str(simulator.velocity_scale.device), torch.get_num_threads()
+        device, threads = str(stepper.device), torch.get_num_threads()
         seconds = time.perf_counter() - began
         provenance = {**identity, "wall_seconds": seconds, "device": device, "num_threads": threads, **more}
         streams[number].finish(provenance)
@@ -314,7 +313,7 @@ def _write(
             open_jobs = {number for number, job in enumerate(jobs) if job.run.num_steps}
             for number in set(range(len(jobs))) - open_jobs:
                 finish(number)  # killed between its last frame and its name
-            for parts in unroll(simulator, [job.run for job in jobs], rest=rest, watches=watches):
+            for parts in unroll(stepper, [job.run for job in jobs], rest=rest, watches=watches):
                 for number in sorted(open_jobs & rested):
                     finish_rested(number, made)
                 made += 1

@@ -37,12 +37,12 @@ def can_batch(entry: Entry) -> bool:
 
 def run_learned(way: LearnedWay, jobs: Jobs) -> int:
     """Step scenes as one graph and return the number of frames that came."""
-    simulator = stabilise(way.checkpoint.simulator, **way.stabilise)
+    stepper = stabilise(way.checkpoint.simulator, **way.stabilise)
     starts = [start_of(way.reduced(scene).scene, way.checkpoint, seed, {}) for scene, seed in jobs]
     runs = [Run(start, way.size(scene)[1]) for start, (scene, _) in zip(starts, jobs, strict=True)]
     frames: list[list[np.ndarray]] = [[each.position[0]] for each in starts]
     with torch.inference_mode():
-        for parts in unroll(simulator, runs):
+        for parts in unroll(stepper, runs):
             for number, part in parts.items():
                 frames[number].append(part.cpu().numpy())
     return sum(len(each) for each in frames)

@@ -161,11 +161,11 @@ def _learned(
     for name, path in checkpoints.items():
         checkpoint = load_checkpoint(path)
         move(checkpoint, device, "evaluation.stress.device")
-        simulator = stabilised(checkpoint.simulator, **stabilise)
+        stepper = stabilised(checkpoint.simulator, **stabilise)
         identity = _identity(file_sha256(path), dict(stabilise), seed)
         dt = checkpoint.simulator.config.dt
         settings = ", ".join(f"{key} {value:g}" for key, value in stabilise.items() if value) or "nothing"
-        yield Subject(name + label, identity, settings, checkpoint.data, dt, checkpoint, simulator)
+        yield Subject(name + label, identity, settings, checkpoint.data, dt, checkpoint, stepper)
 
 
 def _solved(

@@ -16,11 +16,11 @@ from gns_pl.evaluation.stress.suite import StressScene
 from gns_pl.generation import chosen_every, reference_trajectory, thin_trajectory
 from gns_pl.metrics.measures import centre_of_mass, particle_spacing
 from gns_pl.models.checkpoint import Checkpoint
-from gns_pl.models.simulator import Simulator
 from gns_pl.mpm import settings as solver
 from gns_pl.mpm.config import SimulationError
 from gns_pl.rollout.engine import rollout
 from gns_pl.rollout.failure import Failure, Watch
+from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene import Particles, fill_scene
 from gns_pl.scene.extent import characteristic_time
 from gns_pl.solvers.familiarity import familiarity
@@ -93,7 +93,7 @@ class Subject:
         data: the specification of its data, or at least of the sand and of the material point method.
         interval: between frames [s].
         checkpoint: a learned simulator; None for the material point method.
-        simulator: makes the steps, in the place of the checkpoint's own.
+        stepper: makes the steps, in the place of the checkpoint's simulator.
     """
 
     name: str
@@ -102,7 +102,7 @@ class Subject:
     data: Mapping[str, Any]
     interval: float
     checkpoint: Checkpoint | None = None
-    simulator: Simulator | None = None
+    stepper: Stepper | None = None
 
 
 def run_scene(subject: Subject, stress: StressScene, *, seed: int, cache: Path) -> Row:
@@ -178,7 +178,7 @@ def _learned(subject: Subject, stress: StressScene, seed: int, cache: Path) -> O
         start = start_trajectory(scene, particles, config.dt, {})
     watch = Watch(start, config.dt)
     began = time.perf_counter()
-    made = rollout(subject.simulator or checkpoint.simulator, start, round(scene.duration / config.dt), watch=watch)
+    made = rollout(subject.stepper or checkpoint.simulator, start, round(scene.duration / config.dt), watch=watch)
     seconds = time.perf_counter() - began
     seen = familiarity(checkpoint, made, every=max(1, made.num_frames // 100))
     usual = stress.coarseness == 1 and stress.jitter is None and not stress.shake and not stress.displaced
