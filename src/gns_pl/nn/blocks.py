@@ -13,7 +13,7 @@ import itertools
 import os
 import threading
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -22,16 +22,13 @@ from torch import Tensor, nn
 
 from gns_pl.nn.edges import gather_block, norm_block
 from gns_pl.nn.sorted_edges import SortedEdges, thread_pool
-
-if TYPE_CHECKING:
-    from gns_pl.nn.encode_process_decode import EncodeProcessDecode
-    from gns_pl.nn.interaction_network import InteractionNetwork
+from gns_pl.nn.stack import LayerStack
 
 BLOCK_BYTES = 512 * 1024
 """Size of a block's states; three of them lie in a core's cache at a time."""
 
 
-def process_in_blocks(network: EncodeProcessDecode, node: Tensor, edge: Tensor, edges: SortedEdges) -> Tensor:
+def process_in_blocks(network: LayerStack, node: Tensor, edge: Tensor, edges: SortedEdges) -> Tensor:
     """Return what the network makes of features [N, output_width].
 
     Args:
@@ -46,9 +43,9 @@ def process_in_blocks(network: EncodeProcessDecode, node: Tensor, edge: Tensor, 
 class _Blocks:
     """The arrays of one forward pass; every block of them is worked on by one thread at a time."""
 
-    def __init__(self, network: EncodeProcessDecode, node: Tensor, edge: Tensor, edges: SortedEdges) -> None:
+    def __init__(self, network: LayerStack, node: Tensor, edge: Tensor, edges: SortedEdges) -> None:
         self.network, self.edges = network, edges
-        self.layers = cast("list[InteractionNetwork]", list(network.processor))
+        self.layers = network.layers
         self.node_features, self.edge_features = node, edge
         width, number = cast(nn.Linear, network.decoder[0]).in_features, len(node)
         self.node = node.new_empty(number, width)

@@ -14,12 +14,13 @@ from gns_pl.nn.blocks import process_in_blocks
 from gns_pl.nn.interaction_network import InteractionNetwork
 from gns_pl.nn.mlp import mlp
 from gns_pl.nn.sorted_edges import SortedEdges
+from gns_pl.nn.stack import LayerStack
 
 FUSED_WIDTHS = (16, 32, 64, 128)
 """Latent sizes for which a block of edges fits into a GPU's registers."""
 
 
-class EncodeProcessDecode(nn.Module):
+class EncodeProcessDecode(LayerStack):
     """Two encoders, a stack of unshared interaction networks, a decoder without norm.
 
     Args:
@@ -35,8 +36,6 @@ class EncodeProcessDecode(nn.Module):
     Attributes:
         compiled_edges: use the compiled loops of `nn.edges` where they can be used, float32 on the CPU, and the kernels
             of `nn.fused` on a GPU without gradients; edges sorted by receiver.
-        exchange: called with the node states [N, L] after every interaction network but the last; it may overwrite
-            rows, as those that another process has computed. None where there is nobody to exchange with.
     """
 
     def __init__(
@@ -59,7 +58,6 @@ class EncodeProcessDecode(nn.Module):
         self.decoder = mlp(latent_size, latent_size, num_mlp_layers, output_width, norm=False)
         self.static_edges = static_edges
         self.compiled_edges = True
-        self.exchange: Callable[[Tensor], None] | None = None
         self._fused_key: tuple[object, ...] = ()
         self._fused_network: Callable[[Tensor, Tensor, Tensor], Tensor]
 

@@ -14,16 +14,14 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import torch
 import triton
 import triton.language as tl
 from torch import Tensor, nn
 
-if TYPE_CHECKING:
-    from gns_pl.nn.encode_process_decode import EncodeProcessDecode
-    from gns_pl.nn.interaction_network import InteractionNetwork
+from gns_pl.nn.stack import LayerStack
 
 GROUP = 8
 """Places of a group, whose edges share their receiver: messages are summed within groups, then groups at nodes."""
@@ -234,9 +232,9 @@ class FusedNetwork:
             bfloat16 so is what is kept of edges.
     """
 
-    def __init__(self, network: EncodeProcessDecode, precision: str) -> None:
+    def __init__(self, network: LayerStack, precision: str) -> None:
         self.network, self.precision = network, precision
-        self.layers = cast("list[InteractionNetwork]", list(network.processor))
+        self.layers = network.layers
         self.encoder = self._mlp(network.edge_encoder)
         first = cast(nn.Linear, network.edge_encoder[0])
         self.encoder_first = torch.cat([first.weight.t(), first.bias[None]]).float().contiguous()
