@@ -35,8 +35,8 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from gns_pl.evaluation.chart.converged import Converged, errors_of
-from gns_pl.evaluation.chart.rows import rendered
 from gns_pl.generation.reference import reference_trajectory
+from gns_pl.io.tables import write_table
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict
 from gns_pl.scene.extent import characteristic_time
 from gns_pl.solvers.catalogue import make_ways
@@ -271,7 +271,7 @@ def read(path: Path | None) -> list[Row]:
 
 def write(path: Path, rows: list[Row], kind: type) -> None:
     """Write a table of a kind's fields."""
-    path.write_text(rendered(kind, rows))
+    write_table(path, kind, rows)
 
 
 if __name__ == "__main__":

@@ -7,14 +7,14 @@ are unmeasured; times carry over by the work that a run is.
 
 from __future__ import annotations
 
-import csv
 import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from gns_pl.errors import InputError
+from gns_pl.io.tables import read_table
 from gns_pl.machine import available_cores
 from gns_pl.scene import Scene
 from gns_pl.solvers.learned import FittedWay
@@ -97,15 +97,7 @@ def read_records(path: Path) -> list[Record]:
     Raises:
         InputError: no such file, or another table.
     """
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        types = {"int": int, "float": float, "str": str}
-        # A column with a default is missing in older tables.
-        known = [each for each in fields(Record) if each.default is MISSING or (rows and each.name in rows[0])]
-        return [Record(**{each.name: types[str(each.type)](row[each.name]) for each in known}) for row in rows]
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: is no table of records, as benchmark.py writes ({error}).") from error
+    return read_table(path, Record, "is no table of records, as benchmark.py writes")
 
 
 def weigh(scene: Scene, ways: Sequence[Way], records: Sequence[Record]) -> list[Option]:

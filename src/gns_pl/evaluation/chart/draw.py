@@ -10,10 +10,11 @@ from gns_pl.errors import InputError
 from gns_pl.evaluation import tracking
 from gns_pl.evaluation.chart.plan import Plan
 from gns_pl.evaluation.chart.points import Point, points_of, rows_by_name
-from gns_pl.evaluation.chart.rows import Tables, rendered
+from gns_pl.evaluation.chart.rows import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
 from gns_pl.evaluation.chart.words import caption, page, scenes_of, threads_of
 from gns_pl.io.atomic import write_atomically
+from gns_pl.io.tables import write_table
 from gns_pl.viz import Mark, plot_chart
 
 PAGE, POINTS, FIGURES = "chart.md", "chart.csv", ("chart.png", "chart.svg")
@@ -55,7 +56,7 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     title = f"{', '.join(each.name for each in plan.scenes)}: {where}"
     figures = [out / name for name in FIGURES]
     write_atomically(out / PAGE, page(plan, points, found, rows, batches, under).encode())
-    write_atomically(out / POINTS, rendered(Point, points).encode())
+    write_table(out / POINTS, Point, points)
     plot_chart(marks, rates, band=plan.band, title=title, caption=under, paths=figures)
     print(f"\n{under}\n")
     made = [out / PAGE, out / POINTS, *figures]

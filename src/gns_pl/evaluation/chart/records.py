@@ -6,8 +6,8 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from gns_pl.evaluation.chart.rows import RunRow, rendered
-from gns_pl.io.atomic import write_atomically
+from gns_pl.evaluation.chart.rows import RunRow
+from gns_pl.io.tables import write_table
 from gns_pl.solvers.selection import Record, read_records
 
 
@@ -58,5 +58,5 @@ def write_records(path: Path, records: Sequence[Record]) -> int:
     there = read_records(path) if path.exists() else []
     kept = [each for each in there if (each.way, each.kind, each.threads) not in new]
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, rendered(Record, [*kept, *records]).encode())
+    write_table(path, Record, [*kept, *records])
     return len(kept) + len(records)

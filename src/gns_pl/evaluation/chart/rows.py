@@ -6,15 +6,12 @@ is measured twice, and what another checkpoint, solver, machine or number of thr
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from gns_pl.errors import InputError
-from gns_pl.io.atomic import write_atomically
+from gns_pl.io.tables import read_table, write_table
 
 
 @dataclass(frozen=True)
@@ -191,7 +188,8 @@ class Table(Generic[R]):
         self._kind: type[R] = kind
         self._rows: dict[tuple[Any, ...], R] = {}
         if path.exists():
-            self._rows = {key_of(row): row for row in self._read()}
+            rows = read_table(path, kind, "is no table of benchmark.py; move it away or choose another out=")
+            self._rows = {key_of(row): row for row in rows}
 
     def __iter__(self) -> Iterator[R]:
         return iter(self._rows.values())
@@ -210,30 +208,7 @@ class Table(Generic[R]):
             StorageError: the disk refuses; the file is as it was.
         """
         self._rows |= {key_of(row): row for row in rows}
-        write_atomically(self.path, rendered(self._kind, self._rows.values()).encode())
-
-    def _read(self) -> list[R]:
-        types: dict[str, Any] = {"int": int, "float": float, "str": str}
-        try:
-            with self.path.open(newline="", encoding="utf-8") as file:
-                found = list(csv.DictReader(file))
-            return [
-                self._kind(**{each.name: types[str(each.type)](row[each.name]) for each in fields(self._kind)})
-                for row in found
-            ]
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(
-                f"{self.path}: is no table of benchmark.py; move it away or choose another out=."
-            ) from error
-
-
-def rendered(kind: type[Any], rows: Iterable[Any]) -> str:
-    """Return rows of a dataclass as CSV with a head line."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [each.name for each in fields(kind)], lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    return text.getvalue()
+        write_table(self.path, self._kind, self._rows.values())
 
 
 class Tables:

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from gns_pl.errors import InputError
 from gns_pl.evaluation.stress.runs import Row
 from gns_pl.evaluation.stress.survival import survival
-from gns_pl.io.atomic import write_atomically
+from gns_pl.io.tables import read_table, write_table
 from gns_pl.rollout.failure import CLOSE, CLOSE_SHARE, ENERGY, OUTSIDE, OUTSIDE_SHARE, SPEED
-
-TYPES: dict[str, Callable[[str], Any]] = {"bool": lambda text: text == "True", "int": int, "float": float, "str": str}
-
 
 NAMED = 3
 """Failures of a model that the report tells one by one."""
@@ -32,24 +24,12 @@ def read_rows(path: Path) -> list[Row]:
     """
     if not path.is_file():
         return []
-    kinds = {each.name: TYPES[str(each.type)] for each in fields(Row)}
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return [Row(**{name: kinds[name](text) for name, text in line.items()}) for line in csv.DictReader(file)]
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise InputError(
-            f"{path}: is no table of the stress suite ({error}); remove it, or choose another out=."
-        ) from error
+    return read_table(path, Row, "is no table of the stress suite; remove it, or choose another out=")
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write a table, whole or not at all."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [each.name for each in fields(Row)], lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({name: f"{v:.6g}" if isinstance(v, float) else v for name, v in asdict(row).items()})
-    write_atomically(path, text.getvalue().encode())
+    write_table(path, Row, rows, digits=6)
 
 
 def by_model(rows: Sequence[Row]) -> dict[str, list[Row]]:
