@@ -16,7 +16,7 @@ from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoin
 from gns_pl.training.loggers import make_loggers
 from gns_pl.training.module import learning_rate_factor
 from gns_pl.training.resume import find_resume
-from gns_pl.training.train import statistics, train
+from gns_pl.training.train import train
 from tests.conftest import make_simulator
 from tests.training.conftest import make_config, rows
 
@@ -200,10 +200,12 @@ def test_statistics_are_root_mean_squares_with_gravity_and_noise() -> None:
         "velocity": {"mean": [3.0, 0.0], "std": [0.0, 4.0]},
         "acceleration": {"mean": [0.0, -10.0], "std": [1.0, 0.0]},
     }
-    plain = statistics(moments, 0.1, 9.0, 0.0)
-    assert plain == pytest.approx({"velocity": math.sqrt(12.5), "acceleration": 1.0})
-    noisy = statistics(moments, 0.1, 9.0, 0.2)
-    assert noisy == pytest.approx({"velocity": math.sqrt(12.5 + 4), "acceleration": math.sqrt(1 + 400)})
+    simulator, material = make_simulator(dim=2, dt=0.1), torch.tensor([[0.5], [0.1]])
+    for noise, velocity, acceleration in ((0.0, 12.5, 1.0), (0.2, 12.5 + 4, 1 + 400)):
+        simulator.fit_statistics(moments, gravity=9.0, noise_std=noise, material=material)
+        assert float(simulator.velocity_scale) == pytest.approx(math.sqrt(velocity))
+        assert float(simulator.acceleration_scale) == pytest.approx(math.sqrt(acceleration))
+        assert torch.equal(simulator.material_scale, material)
 
 
 @pytest.mark.parametrize(("mode", "offline"), [(None, True), ("offline", True), ("dryrun", True), ("disabled", None)])

@@ -19,10 +19,9 @@ import torch
 from gns_pl.errors import InputError
 from gns_pl.graph import Seen
 from gns_pl.io import atomic_path
-from gns_pl.models.geoelements import FrameConfig
-from gns_pl.models.registry import KINDS, build_simulator
+from gns_pl.models.registry import DEFAULT, build_simulator, kind_of
 from gns_pl.models.shipped import find_checkpoint
-from gns_pl.models.simulator import Simulator, SimulatorConfig
+from gns_pl.models.simulator import Simulator
 
 KEY = "gns_pl"
 FORMAT_VERSION = 4
@@ -51,14 +50,15 @@ class Checkpoint:
 
 
 def checkpoint_entry(
-    config: SimulatorConfig, data: Mapping[str, Any], provenance: Mapping[str, Any], seen: Seen | None = None
+    simulator: Simulator, data: Mapping[str, Any], provenance: Mapping[str, Any], seen: Seen | None = None
 ) -> dict[str, Any]:
-    """Return what the trainer stores under `KEY`, plain values and tensors only; the config tells the kind."""
-    entry: dict[str, Any] = {"format_version": 3}  # which earlier versions of gns_pl read as well
-    if isinstance(config, FrameConfig):
-        entry = {"format_version": 4, "kind": "frames"}
+    """Return what the trainer stores under `KEY`, plain values and tensors only; `simulator` tells kind and config."""
+    kind = kind_of(simulator)
+    entry: dict[str, Any] = {"format_version": 4, "kind": kind}
+    if kind == DEFAULT:
+        entry = {"format_version": 3}  # which earlier versions of gns_pl read as well
     entry |= {
-        "config": config.to_dict(),
+        "config": simulator.config.to_dict(),
         "data": dict(data),
         "provenance": dict(provenance),
     }
@@ -68,7 +68,7 @@ def checkpoint_entry(
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint without trainer state, whole or not at all: weights, statistics, config, data, provenance."""
     weights = {PREFIX + name: value for name, value in checkpoint.simulator.state_dict().items()}
-    entry = checkpoint_entry(checkpoint.simulator.config, checkpoint.data, checkpoint.provenance, checkpoint.seen)
+    entry = checkpoint_entry(checkpoint.simulator, checkpoint.data, checkpoint.provenance, checkpoint.seen)
     with atomic_path(path) as temporary:
         torch.save({"state_dict": weights, KEY: entry}, temporary)
 
@@ -113,10 +113,10 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
             f"{path}: was trained with other features of model.context (format {entry['format_version']}); "
             "train it anew."
         )
-    kind = entry.get("kind", "simulator")
-    if kind not in KINDS:
-        raise InputError(f"{path}: holds a simulator of the unknown kind {kind!r}; install a newer gns_pl.")
-    simulator = build_simulator(KINDS[kind].from_dict(_current(entry["config"], path)))
+    try:
+        simulator = build_simulator({"kind": entry.get("kind", DEFAULT), **_current(entry["config"], path)})
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     weights = {
         name.removeprefix(PREFIX): value for name, value in content["state_dict"].items() if name.startswith(PREFIX)
     }

@@ -26,8 +26,8 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, radius_graph
-from gns_pl.models.simulator import Network, Search, Simulator, SimulatorConfig
-from gns_pl.nn import in_float32
+from gns_pl.models.simulator import Evaluation, Search, Simulator, SimulatorConfig
+from gns_pl.nn import DEFAULT_NETWORK, EncodeProcessDecode, in_float32
 
 EDGE_UPDATES = ("residual", "legacy_doubling")
 
@@ -58,8 +58,8 @@ class FrameConfig(SimulatorConfig):
         super().__post_init__()
         if self.edge_update not in EDGE_UPDATES:
             raise InputError(f"edge_update must be one of {', '.join(EDGE_UPDATES)}, not {self.edge_update!r}.")
-        if self.output != "acceleration" or self.context:
-            raise InputError("a simulator in frames has output=acceleration and no context.")
+        if self.output != "acceleration" or self.context or self.network != DEFAULT_NETWORK:
+            raise InputError("a simulator in frames has output=acceleration, its own network and no context.")
         if max(self.particle_types, default=0) >= self.num_types or min(self.particle_types, default=0) < 0:
             raise InputError(f"particle types {list(self.particle_types)} need more than num_types={self.num_types}.")
 
@@ -74,6 +74,8 @@ class FrameSimulator(Simulator):
         config: its shape.
     """
 
+    config_class: ClassVar[type[SimulatorConfig]] = FrameConfig
+
     velocity_mean: Tensor
     velocity_std: Tensor
     acceleration_mean: Tensor
@@ -84,23 +86,26 @@ class FrameSimulator(Simulator):
     def __init__(self, config: FrameConfig) -> None:
         super().__init__(config)
         # Doubled edges are the encoded ones with powers of two in the weights (`convert.formats.geoelements_weights`).
+        assert isinstance(self.network, EncodeProcessDecode)
         self.network.static_edges = config.edge_update == "legacy_doubling"
         self.types = nn.Embedding(config.num_types, config.type_size)
         for name in ("velocity", "acceleration"):
             self.register_buffer(f"{name}_mean", torch.zeros(config.dim))
             self.register_buffer(f"{name}_std", torch.ones(config.dim))
 
-    def set_frame_statistics(self, moments: Mapping[str, Any], dt: float, noise_std: float) -> None:
-        """Set the normalisation from that of a data set.
+    def fit_statistics(self, moments: Mapping[str, Any], *, gravity: float, noise_std: float, material: Tensor) -> None:
+        """Set the normalisation from that of a data set, per axis; gravity stays in the accelerations.
 
         Args:
             moments: "velocity" [m/s] and "acceleration" [m/s²] → "mean" and "std" per axis [D].
-            dt: time of a step [s].
+            gravity: not used.
             noise_std: of the latest displacement's noise, in the training [m].
+            material: not used; material values go in as they are.
 
         Raises:
             InputError: an axis along which nothing moves.
         """
+        dt = self.config.dt
         for name, unit in (("velocity", dt), ("acceleration", dt**2)):
             mean, std = (torch.tensor(moments[name][key], dtype=torch.float64) * unit for key in ("mean", "std"))
             std = (std.square() + noise_std**2).sqrt()
@@ -148,7 +153,7 @@ class FrameSimulator(Simulator):
         return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
 
     def normalised_acceleration(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Network | None = None
+        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the network's (ẍ − `acceleration_mean`) / `acceleration_std`, gravity in it [N, D].
 

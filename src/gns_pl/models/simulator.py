@@ -7,6 +7,7 @@ training, rollout and inverse problems share it. `rollout` unrolls it, `training
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -17,14 +18,14 @@ from torch import Tensor, nn
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
 from gns_pl.graph.features import in_precision
-from gns_pl.nn import EncodeProcessDecode, in_float32
+from gns_pl.nn import DEFAULT_NETWORK, build_network, in_float32
 
 OUTPUTS = ("acceleration", "gated")
 
 Search = Callable[..., Tensor]
 """Finds neighbours: arguments and result of `radius_graph`."""
 
-Network = Callable[[Tensor, Tensor, Tensor], Tensor]
+Evaluation = Callable[[Tensor, Tensor, Tensor], Tensor]
 """Node features [N, F], edge features [E, F'] and edges [2, E] → outputs [N, O]."""
 
 
@@ -47,6 +48,8 @@ class SimulatorConfig:
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
         context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
+        network: from features to the output: a registered name, "module.Class", or a mapping of "_target_" and options
+            (`nn.network`).
 
     Raises:
         InputError: values that make no simulator.
@@ -65,6 +68,7 @@ class SimulatorConfig:
     output: str
     context: bool
     neighbours: str
+    network: str | Mapping[str, Any] = DEFAULT_NETWORK
 
     exact_steps: ClassVar[bool] = False
     """Its steps have to stay equal to another program's, so nothing may stabilise them."""
@@ -99,7 +103,10 @@ class SimulatorConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the config as plain numbers, strings and lists."""
-        return {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(self).items()}
+        values = {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(self).items()}
+        if self.network == DEFAULT_NETWORK:
+            del values["network"]  # as checkpoints were before there were others
+        return values
 
 
 class Simulator(nn.Module):
@@ -114,6 +121,9 @@ class Simulator(nn.Module):
 
     """
 
+    config_class: ClassVar[type[SimulatorConfig]] = SimulatorConfig
+    """What rebuilds it; a subclass with more settings has its own."""
+
     velocity_scale: Tensor
     acceleration_scale: Tensor
     material_scale: Tensor
@@ -126,7 +136,8 @@ class Simulator(nn.Module):
         self.register_buffer("velocity_scale", torch.ones(()))
         self.register_buffer("acceleration_scale", torch.ones(()))
         self.register_buffer("material_scale", torch.stack([torch.zeros(features), torch.ones(features)]))
-        self.network = EncodeProcessDecode(
+        self.network = build_network(
+            config.network,
             node_width=self.node_width(),
             edge_width=edge_width(config.dim),
             output_width=config.dim * (2 if config.output == "gated" else 1),
@@ -154,6 +165,29 @@ class Simulator(nn.Module):
             num_particle_types=len(config.particle_types),
             num_material_features=len(config.material_features),
             context=config.context,
+        )
+
+    def fit_statistics(self, moments: Mapping[str, Any], *, gravity: float, noise_std: float, material: Tensor) -> None:
+        """Set the normalisation from that of a data set: root mean squares over all components, noise included.
+
+        Args:
+            moments: "velocity" [m/s] and "acceleration" [m/s²] → "mean" and "std" per axis [D].
+            gravity: magnitude, along the last axis [m/s²].
+            noise_std: of the latest displacement's random-walk noise in the training [m].
+            material: mean and standard deviation of the material features [2, K].
+
+        Raises:
+            InputError: the data do not move.
+        """
+        velocity = [m**2 + s**2 for m, s in zip(moments["velocity"]["mean"], moments["velocity"]["std"], strict=True)]
+        mean = list(moments["acceleration"]["mean"])
+        mean[-1] += gravity
+        acceleration = [m**2 + s**2 for m, s in zip(mean, moments["acceleration"]["std"], strict=True)]
+        noise = noise_std / self.config.dt
+        self.set_statistics(
+            velocity=math.sqrt(sum(velocity) / len(velocity) + noise**2),
+            acceleration=math.sqrt(sum(acceleration) / len(acceleration) + (noise / self.config.dt) ** 2),
+            material=material,
         )
 
     def set_statistics(self, *, velocity: float, acceleration: float, material: Tensor) -> None:
@@ -235,7 +269,7 @@ class Simulator(nn.Module):
         return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
 
     def normalised_acceleration(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Network | None = None
+        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the network's (a − g) / `acceleration_scale` [N, D].
 
@@ -306,7 +340,7 @@ class Simulator(nn.Module):
         return torch.where(static.moved[:, None], position, history[:, -1])
 
     def forward(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Network | None = None
+        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the positions one step later [N, D] [m], in the weights' precision.
 

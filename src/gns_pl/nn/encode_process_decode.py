@@ -38,6 +38,14 @@ class EncodeProcessDecode(LayerStack):
             of `nn.fused` on a GPU without gradients; edges sorted by receiver.
     """
 
+    blocked = True
+    sliceable = True
+
+    @classmethod
+    def fuses(cls, latent_size: int) -> bool:
+        """Return whether `nn.fused` has kernels for this width, and Triton to compile them is there."""
+        return latent_size in FUSED_WIDTHS and has_triton()
+
     def __init__(
         self,
         *,
@@ -89,7 +97,7 @@ class EncodeProcessDecode(LayerStack):
         """Return whether the kernels of `nn.fused` can make this pass."""
         width = cast(nn.Linear, self.decoder[0]).in_features
         able = self.compiled_edges and self.exchange is None and node.dtype == torch.float32
-        if not (able and width in FUSED_WIDTHS and edge_index.shape[1] and has_triton()):
+        if not (able and self.fuses(width) and edge_index.shape[1]):
             return False
         if torch.cuda.is_current_stream_capturing():
             return True  # whoever captures knows that they are sorted, and looking would wait

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from torch import Tensor, nn
+from torch import nn
 
 from gns_pl.nn.interaction_network import InteractionNetwork
+from gns_pl.nn.network import Network
 
 
-class LayerStack(nn.Module):
+class LayerStack(Network):
     """What `nn.blocks` and `nn.fused` evaluate.
 
     Attributes:
@@ -19,19 +18,12 @@ class LayerStack(nn.Module):
         decoder: [N, L] → [N, O], without a norm.
         static_edges: every interaction network sees the encoded edges; else the edges it gets are those that the one
             before has updated.
-        exchange: called with the node states [N, L] after every interaction network but the last; it may overwrite
-            rows, as those that another process has computed. None where there is nobody to exchange with.
     """
 
     node_encoder: nn.Sequential
     edge_encoder: nn.Sequential
     decoder: nn.Sequential
     static_edges: bool
-    exchange: Callable[[Tensor], None] | None
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.exchange = None
 
     @property
     def layers(self) -> list[InteractionNetwork]:

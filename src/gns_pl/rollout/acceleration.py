@@ -14,9 +14,9 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import NeighbourList, Static, radius_graph
-from gns_pl.models.simulator import Network, Simulator, SimulatorConfig
-from gns_pl.nn import EncodeProcessDecode
-from gns_pl.nn.encode_process_decode import FUSED_WIDTHS, has_triton
+from gns_pl.models.simulator import Evaluation, Simulator, SimulatorConfig
+from gns_pl.nn import EncodeProcessDecode, network_class
+from gns_pl.nn.encode_process_decode import FUSED_WIDTHS
 from gns_pl.rollout.stepper import SimulatorStepper, Stepper
 
 PRECISIONS = ("float32", "tf32", "bfloat16")
@@ -76,8 +76,8 @@ def accelerate(
 
 def can_capture(simulator: Simulator) -> bool:
     """Return whether steps of a simulator can become CUDA graphs."""
-    on_gpu = simulator.device.type == "cuda" and has_triton()
-    return on_gpu and simulator.config.latent_size in FUSED_WIDTHS
+    fuses = network_class(simulator.config.network).fuses(simulator.config.latent_size)
+    return simulator.device.type == "cuda" and fuses
 
 
 class CapturedStepper:
@@ -94,7 +94,7 @@ class CapturedStepper:
         normalised: of the latest step, the network's (a − g) / `acceleration_scale` [N, D].
     """
 
-    def __init__(self, simulator: Simulator, network: Network) -> None:
+    def __init__(self, simulator: Simulator, network: Evaluation) -> None:
         from gns_pl.graph.bounded import BoundedSearch
 
         self._search = BoundedSearch(0)

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, radius_graph
-from gns_pl.nn import EncodeProcessDecode
+from gns_pl.nn import Network
 from gns_pl.rollout.stepper import Stepper, opened
 
 
@@ -98,7 +98,7 @@ class SlabStepper:
         if stepper.config.self_loops:
             raise InputError("several processes share no run with edges from a particle to itself, as this one has.")
         single = opened(stepper)
-        if single is None or not isinstance(single.network, EncodeProcessDecode):
+        if single is None or not (isinstance(single.network, Network) and single.network.sliceable):
             raise InputError(
                 "several processes share a run step by step: leave out acceleration.precision, compiled and captured."
             )

@@ -10,6 +10,7 @@ from gns_pl.errors import InputError
 from gns_pl.graph import context_bytes, radius_graph
 from gns_pl.machine import free_memory
 from gns_pl.models.simulator import SimulatorConfig
+from gns_pl.nn import network_class
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.rollout.stepper import Stepper
 
@@ -69,7 +70,7 @@ def check_memory(stepper: Stepper, runs: list[Run], share: float = 1.0) -> str:
     position = torch.cat([history_of(run, config)[:, -1] for run in runs])
     radius, graphs = config.connectivity_radius, static.num_graphs
     edges = radius_graph(position, radius, static.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
-    blocks = device.type == "cpu"
+    blocks = device.type == "cpu" and network_class(config.network).blocked
     nodes = math.prod(static.grid(radius).shape) if config.context else 0
     needed = estimate_bytes(
         config, len(position), int(ROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share

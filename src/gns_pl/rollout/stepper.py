@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.graph import Static, radius_graph
-from gns_pl.models.simulator import Network, Search, Simulator, SimulatorConfig
+from gns_pl.models.simulator import Evaluation, Search, Simulator, SimulatorConfig
 
 
 class Stepper(Protocol):
@@ -51,7 +51,7 @@ class SimulatorStepper:
 
     simulator: Simulator
     search: Search
-    network: Network
+    network: Evaluation
 
     @property
     def config(self) -> SimulatorConfig:

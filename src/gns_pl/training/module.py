@@ -14,7 +14,7 @@ from torch_geometric.data import Data
 from gns_pl.graph import Draws, Seen, Static
 from gns_pl.metrics.summary import rollout_errors
 from gns_pl.models.checkpoint import KEY, checkpoint_entry
-from gns_pl.models.registry import build_simulator, simulator_config
+from gns_pl.models.registry import build_simulator
 from gns_pl.rollout import rollout
 from gns_pl.training.clock import Stopwatch
 from gns_pl.training.optimiser import MuonAndAdamW
@@ -72,7 +72,7 @@ class SimulatorModule(LightningModule):
     ) -> None:
         super().__init__()
         self.save_hyperparameters(logger=False)
-        self.simulator = build_simulator(simulator_config(model))
+        self.simulator = build_simulator(model)
         self.perturb = Perturbation(**perturbation)
         self.optimisation = optimisation
         self.data = data
@@ -183,7 +183,7 @@ class SimulatorModule(LightningModule):
         clocks = [each for each in self.trainer.callbacks if isinstance(each, Stopwatch)]  # type: ignore[attr-defined]
         if "cost" in provenance and clocks:
             provenance["cost"] = {**provenance["cost"], "train_seconds": clocks[0].seconds}
-        checkpoint[KEY] = checkpoint_entry(self.simulator.config, self.data, provenance, self.seen)
+        checkpoint[KEY] = checkpoint_entry(self.simulator, self.data, provenance, self.seen)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Forget the time that earlier starts took: `trainer.max_time` is that of each start."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import math
 import os
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -21,7 +20,6 @@ from gns_pl.errors import InputError, tolerated
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError, manifest_sha256
 from gns_pl.machine import provide_home
-from gns_pl.models.geoelements import FrameSimulator
 from gns_pl.models.registry import simulator_config
 from gns_pl.nn import in_float32
 from gns_pl.nn.memory import keep_freed_memory
@@ -211,14 +209,14 @@ def build_module(
         moments = manifest.statistics
     else:
         moments = {name: seen.to_dict() for name, seen in datamodule.statistics().items()}
-    noise_std = training.perturbation.noise_std
-    if isinstance(module.simulator, FrameSimulator):
-        module.simulator.set_frame_statistics(moments, of_data["dt"], noise_std)
+    module.simulator.fit_statistics(
+        moments,
+        gravity=settings["data"]["gravity"],
+        noise_std=training.perturbation.noise_std,
+        material=material_scale(datamodule, len(of_data["material_features"])),
+    )
+    if module.simulator.config.exact_steps:
         module.provenance["frame_statistics"] = moments  # digit for digit, as an export of the weights needs them
-    else:
-        scales = statistics(moments, of_data["dt"], settings["data"]["gravity"], noise_std)
-        material = material_scale(datamodule, len(of_data["material_features"]))
-        module.simulator.set_statistics(**scales, material=material)
     module.seen = measure_seen(
         module.simulator,
         datamodule.train_set,
@@ -227,29 +225,6 @@ def build_module(
         source=module.provenance["manifest_sha256"],
     )
     return module
-
-
-def statistics(moments: Mapping[str, Any], dt: float, gravity: float, noise_std: float) -> dict[str, float]:
-    """Return root mean squares over all components, random-walk noise included.
-
-    Args:
-        moments: mean and standard deviation of velocity and acceleration, per component.
-        dt: time of one step [s].
-        gravity: magnitude, along the last axis [m/s²].
-        noise_std: of the latest velocity's noise times Δt [m].
-
-    Returns:
-        "velocity" [m/s] and "acceleration" (of a − g) [m/s²].
-    """
-    velocity = [m**2 + s**2 for m, s in zip(moments["velocity"]["mean"], moments["velocity"]["std"], strict=True)]
-    mean = list(moments["acceleration"]["mean"])
-    mean[-1] += gravity
-    acceleration = [m**2 + s**2 for m, s in zip(mean, moments["acceleration"]["std"], strict=True)]
-    noise = noise_std / dt
-    return {
-        "velocity": math.sqrt(sum(velocity) / len(velocity) + noise**2),
-        "acceleration": math.sqrt(sum(acceleration) / len(acceleration) + (noise / dt) ** 2),
-    }
 
 
 def material_scale(datamodule: TrajectoryDataModule, number: int) -> torch.Tensor:
