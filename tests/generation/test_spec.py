@@ -18,7 +18,8 @@ from omegaconf import OmegaConf
 from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, Planned, chosen_every, draw_plan
 from gns_pl.mpm.settings import solver_config
-from gns_pl.scene import fill_scene
+from gns_pl.scene import Plane, Wall, fill_scene, read_scene, write_scene
+from gns_pl.solvers.training_range import beyond
 from tests.generation.fake import BLOCKS, DROPS, MPM, make_spec
 
 
@@ -281,3 +282,48 @@ def test_which_lattices_are_stored_changes_nothing_else() -> None:
     first, second = plan(store_every=[4, 2]), plan(store_every=[2])
     assert [p.offsets[2] for p in first] == [p.offsets[2] for p in second]
     assert [p.offsets[4] for p in first] != [p.offsets[4] for p in plan(store_every=[4], seed=8)]
+
+
+def given(tmp_path: Path, **changes: Any) -> dict[str, Any]:
+    """A family of two scene files, of which each is filled three times."""
+    planned = plan()[0].scene
+    for name in ("first", "second"):
+        write_scene(planned.replace(name=name, **changes), tmp_path / f"{name}.yaml")
+    files = [str(tmp_path / f"{name}.yaml") for name in ("first", "second")]
+    return {"kind": "scenes", "files": files, "placements": 3, "valid": 1}
+
+
+def test_scenes_of_files_are_a_family_and_the_specification_holds_them_whole(tmp_path: Path) -> None:
+    family = given(tmp_path)
+    spec = DatasetSpec.from_dict(make_spec(families={"mine": family, "cube_drop": DROPS}))
+    planned = [each for each in draw_plan(spec) if not each.scene.name.startswith("cube_drop")]
+    assert [each.scene.name for each in planned] == [
+        f"{name}_{number:04d}" for number in range(3) for name in ("first", "second")
+    ]
+    assert len({each.seed for each in planned}) == 6 and [each.split for each in planned].count("valid") == 1
+    assert planned[0].scene == read_scene(Path(family["files"][0])).replace(name="first_0000")
+    for file in family["files"]:
+        Path(file).unlink()  # the specification, as a manifest keeps it, needs the files no more
+    assert draw_plan(DatasetSpec.from_dict(spec.to_dict())) == draw_plan(spec)
+
+
+def test_given_scenes_that_cannot_be_learned_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"scene 'first' has the gravity \[0\.0, 0\.0, -1\.0\], and the data set"):
+        plan(families={"mine": given(tmp_path, gravity=(0.0, 0.0, -1.0))})
+    slope = Plane((0, 0, 0.1), (1, 0, 3), Wall("slip"))
+    with pytest.raises(InputError, match="scene 'first' has obstacles, and a learned simulator knows none yet"):
+        plan(families={"mine": given(tmp_path, obstacles=(slope,))})
+    with pytest.raises(InputError, match="valid and test are part of its 6 trajectories"):
+        plan(families={"mine": given(tmp_path) | {"valid": 7}})
+    with pytest.raises(InputError, match="unknown key count; a family of scenes has files, placements, valid, test"):
+        plan(families={"mine": given(tmp_path) | {"count": 7}})
+    with pytest.raises(InputError, match="files must list scene files"):
+        plan(families={"mine": {"kind": "scenes", "files": "a.yaml"}})
+
+
+def test_what_given_scenes_hold_is_within_their_range(tmp_path: Path) -> None:
+    spec = DatasetSpec.from_dict(make_spec(families={"mine": given(tmp_path)}))
+    scene = plan()[0].scene
+    assert list(beyond(scene, spec.to_dict())) == []
+    body = replace(scene.bodies[0], size=tuple(0.5 * edge for edge in scene.bodies[0].size))
+    assert next(beyond(scene.replace(bodies=(body,)), spec.to_dict())).startswith("saw lengths from")

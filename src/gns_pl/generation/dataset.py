@@ -18,10 +18,11 @@ from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
 from gns_pl.generation import records
 from gns_pl.generation.batches import run_batches
+from gns_pl.generation.families import Planned, draw_plan
 from gns_pl.generation.pool import Failure, run_jobs
 from gns_pl.generation.produce import Job, Measured, Place, Product, produce
 from gns_pl.generation.progress import GenerationProgress
-from gns_pl.generation.spec import DatasetSpec, Planned, chosen_every, draw_plan
+from gns_pl.generation.spec import DatasetSpec, chosen_every
 from gns_pl.generation.thinning import stored_counts
 from gns_pl.io import SPLITS, Manifest, StorageError, remove_temporary_files, write_manifest
 from gns_pl.io.atomic import free_bytes

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.scene import Material, Scene, Wall, part_from_dict
+from gns_pl.scene import Material, Scene, Wall, part_from_dict, scene_from_dict
 
 
 def beyond(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
@@ -19,14 +19,15 @@ def beyond(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         scene: as it is run, so in two dimensions where the data are.
         data: the specification of the data, as in conf/data/.
     """
-    families = [family for family in data.get("families", {}).values() if family.get("count", 1)]
+    families = list(_families(data))
     if not families:
         yield "its data do not say what they hold"
         return
     if scene.obstacles:
         yield "knows no obstacles"
-    if len(scene.bodies) > 1:
-        yield f"saw single bodies, the scene has {len(scene.bodies)}"
+    most = max(family.get("bodies", 1) for family in families)
+    if len(scene.bodies) > most:
+        yield f"saw {'single bodies' if most == 1 else f'up to {most} bodies'}, the scene has {len(scene.bodies)}"
     walls = [{**data.get("walls", {}), **family.get("walls", {})} for family in families]
     known = [{face: part_from_dict(Wall, face, wall) for face, wall in each.items()} for each in walls]
     touched = [face for face in scene.walls if face != "z+"]  # nothing rises to the lid
@@ -37,16 +38,38 @@ def beyond(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         yield f"its gravity was {gravity:g} m/s² downwards"
     angles = [each for family in families for each in family.get("friction_angle_deg", ())]
     base = part_from_dict(Material, "material", data["material"])
+    materials = [base, *(material for family in families for material in family.get("materials", ()))]
     for body in scene.bodies:
         material = scene.materials[body.material]
         angle = material.friction_angle_deg
         if angles and not min(angles) <= angle <= max(angles):
             yield f"its friction angles were {min(angles):g} to {max(angles):g}°"
-        if replace(material, friction_angle_deg=base.friction_angle_deg) != base or not (
-            angles or angle == base.friction_angle_deg
-        ):
+        other_angle = not angles and angle != base.friction_angle_deg
+        if other_angle or all(replace(each, friction_angle_deg=angle) != material for each in materials):
             yield "its material was another"
         yield from _beyond_shape(scene, body, families)
+
+
+def _families(data: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Yield the families of a data set; each given scene is one, of the numbers that it has."""
+    for family in data.get("families", {}).values():
+        if "scenes" not in family:
+            if family.get("count", 1):
+                yield family
+            continue
+        for plain in family["scenes"]:
+            scene = scene_from_dict(plain)
+            bodies = scene.bodies
+            yield {
+                "walls": plain["walls"],
+                "bodies": len(bodies),
+                "materials": [scene.materials[body.material] for body in bodies],
+                "friction_angle_deg": [scene.materials[body.material].friction_angle_deg for body in bodies],
+                "length": [body.size[0] for body in bodies],
+                "aspect_ratio": [body.size[-1] / body.size[0] for body in bodies],
+                "speed": [abs(component) for body in bodies for component in body.velocity],
+                "max_drop": [body.position[-1] - scene.lower[-1] for body in bodies],
+            }
 
 
 def _beyond_shape(scene: Scene, body: Any, families: list[Mapping[str, Any]]) -> Iterator[str]:

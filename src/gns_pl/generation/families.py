@@ -1,0 +1,188 @@
+"""The scenes of a data set, drawn from its specification.
+
+Every trajectory draws from a random stream of its own that depends on the seed, the name of its family and its number
+in the family, and on nothing else: more trajectories, another family or more processes change none of the others.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gns_pl.errors import InputError
+from gns_pl.generation.spec import FROM_FILES, DatasetSpec, whole_number
+from gns_pl.io import SPLITS
+from gns_pl.scene import (
+    Material,
+    Scene,
+    Wall,
+    part_from_dict,
+    sample_block_release,
+    sample_column_collapse,
+    sample_cube_drop,
+    scene_from_dict,
+)
+from gns_pl.scene.catalogue import checked_range
+
+KINDS: dict[str, tuple[Callable[..., Scene], tuple[str, ...]]] = {
+    "cube_drop": (sample_cube_drop, ("domain", "side", "speed", "max_drop", "duration")),
+    "block_release": (sample_block_release, ("domain", "length", "aspect_ratio", "at_wall", "duration")),
+    "column_collapse": (sample_column_collapse, ("domain", "length", "aspect_ratio", "duration_tau")),
+}
+"""Kind of family → its sampler in the scene catalogue and the parameters it needs."""
+
+_SCENES, _SPLITS, _OFFSETS = 0, 1, 2  # which of a family's random streams
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One trajectory of a data set, before it is simulated.
+
+    Attributes:
+        file_name: in the data set's folder.
+        split: "train", "valid" or "test".
+        scene: what to simulate.
+        seed: of the solver's random placement.
+        offsets: k of every lattice that is stored → which of the k^D lattices of every k-th point it is [D].
+    """
+
+    file_name: str
+    split: str
+    scene: Scene
+    seed: int
+    offsets: Mapping[int, tuple[int, ...]]
+
+
+def draw_plan(spec: DatasetSpec) -> list[Planned]:
+    """Draw every scene of a data set, in the order of their files.
+
+    Raises:
+        InputError: a family that cannot be drawn, or splits without a training trajectory.
+    """
+    plan: list[Planned] = []
+    for name in sorted(spec.families):
+        plan += _draw_family(spec, name, len(plan))
+    if len({planned.scene.dim for planned in plan}) > 1:
+        raise InputError("data: all families must have the same number of dimensions.")
+    if not any(planned.split == "train" for planned in plan):
+        raise InputError("data: no trajectory is left for training; raise count or lower valid and test.")
+    return plan
+
+
+def _draw_family(spec: DatasetSpec, name: str, first: int) -> list[Planned]:
+    owner = f"data: family {name}"
+    family = spec.families[name]
+    if not isinstance(family, Mapping):
+        raise InputError(f"{owner} must be a mapping, not {type(family).__name__}.")
+    kind = family.get("kind", name)
+    if kind == FROM_FILES:
+        return _given_family(spec, owner, name, first)
+    if kind not in KINDS:
+        kinds = ", ".join([*KINDS, FROM_FILES])
+        raise InputError(f"{owner}: there is no kind {kind!r} of scenes; known are {kinds}.")
+    sampler, needed = KINDS[kind]
+    counts = {key: whole_number(owner, key, family.get(key, 0)) for key in ("count", "valid", "test")}
+    if counts["valid"] + counts["test"] > counts["count"]:
+        raise InputError(f"{owner}: valid and test are part of count and cannot exceed it.")
+    known = {"kind", *counts, *needed, "walls", "material", "friction_angle_deg"}
+    unknown, missing = sorted(set(family) - known), sorted(set(needed) - set(family))
+    if unknown or missing:
+        what = f"unknown key {', '.join(unknown)}" if unknown else f"missing key {', '.join(missing)}"
+        raise InputError(f"{owner}: {what}; a {kind} has {', '.join(sorted(known))}.")
+    common = {
+        **{key: family[key] for key in needed},
+        "gravity": spec.gravity,
+        "walls": _walls(owner, family.get("walls", spec.walls)),
+    }
+    material = part_from_dict(Material, f"{owner}: material", family.get("material", spec.material))
+    angles = family.get("friction_angle_deg")
+    if angles is not None:
+        angles = checked_range(owner, "friction_angle_deg", angles)
+        for angle in angles:
+            replace(material, friction_angle_deg=angle)  # refuses what no sand has, before a draw happens to hit it
+    splits = _draw_splits(spec.seed, name, **counts)
+    planned = []
+    for number in range(counts["count"]):
+        stream, placement, friction = _sequence(spec.seed, name, _SCENES, number).spawn(3)
+        if angles is not None:
+            material = replace(material, friction_angle_deg=np.random.default_rng(friction).uniform(*angles))
+        scene = sampler(np.random.default_rng(stream), **common, material=material, name=f"{name}_{number:04d}")
+        planned.append(_planned(spec, name, number, first, splits[number], scene, placement))
+    return planned
+
+
+def _planned(
+    spec: DatasetSpec,
+    family: str,
+    number: int,
+    first: int,
+    split: str,
+    scene: Scene,
+    placement: np.random.SeedSequence,
+) -> Planned:
+    offsets = {every: _offset(spec.seed, family, number, every, scene.dim) for every in spec.store_every}
+    seed = int(placement.generate_state(1)[0])
+    return Planned(f"trajectory_{first + number:04d}.h5", split, scene, seed, offsets)
+
+
+def _given_family(spec: DatasetSpec, owner: str, name: str, first: int) -> list[Planned]:
+    """Plan a family whose scenes are given; every one of its `placements` fills it anew."""
+    family = spec.families[name]
+    unknown = sorted(set(family) - {"kind", FROM_FILES, "placements", "valid", "test"})
+    if unknown or FROM_FILES not in family:
+        what = f"unknown key {', '.join(unknown)}" if unknown else "missing key files"
+        raise InputError(f"{owner}: {what}; a family of scenes has files, placements, valid, test.")
+    scenes = [scene_from_dict(each) for each in family[FROM_FILES]]
+    for scene in scenes:
+        downwards = (0.0,) * (scene.dim - 1) + (-float(spec.gravity),)
+        if not np.allclose(scene.gravity, downwards, rtol=1e-9, atol=0):
+            raise InputError(
+                f"{owner}: scene {scene.name!r} has the gravity {list(scene.gravity)}, and the data set "
+                f"{list(downwards)}; set data.gravity, or change the scene."
+            )
+        if scene.obstacles:
+            raise InputError(f"{owner}: scene {scene.name!r} has obstacles, and a learned simulator knows none yet.")
+    placements = whole_number(owner, "placements", family.get("placements", 1))
+    counts = {key: whole_number(owner, key, family.get(key, 0)) for key in ("valid", "test")}
+    count = len(scenes) * placements
+    if sum(counts.values()) > count:
+        raise InputError(f"{owner}: valid and test are part of its {count} trajectories and cannot exceed them.")
+    splits = _draw_splits(spec.seed, name, count=count, **counts)
+    planned = []
+    for number in range(count):
+        _, placement, _ = _sequence(spec.seed, name, _SCENES, number).spawn(3)
+        scene = scenes[number % len(scenes)]
+        scene = scene.replace(name=f"{scene.name}_{number // len(scenes):04d}") if placements > 1 else scene
+        planned.append(_planned(spec, name, number, first, splits[number], scene, placement))
+    return planned
+
+
+def _offset(seed: int, family: str, number: int, every: int, dim: int) -> tuple[int, ...]:
+    """Return which lattice of every k-th point a trajectory keeps.
+
+    They are taken in turn from a random one on, so that a family shows each of the k^D once before any comes again.
+    """
+    place = int(_sequence(seed, family, _OFFSETS, every).generate_state(1)[0]) + number
+    return tuple(place // every**axis % every for axis in range(dim))
+
+
+def _draw_splits(seed: int, family: str, *, count: int, valid: int, test: int) -> list[str]:
+    order = np.random.default_rng(_sequence(seed, family, _SPLITS)).permutation(count)
+    splits = np.full(count, SPLITS.index("train"))
+    splits[order[:valid]] = SPLITS.index("valid")
+    splits[order[valid : valid + test]] = SPLITS.index("test")
+    return [SPLITS[split] for split in splits]
+
+
+def _sequence(seed: int, family: str, *place: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=(zlib.crc32(family.encode()), *place))
+
+
+def _walls(owner: str, walls: Any) -> dict[str, Wall]:
+    if not isinstance(walls, Mapping):
+        raise InputError(f"{owner}: walls must be a mapping of faces to walls.")
+    return {str(face): part_from_dict(Wall, f"{owner}: wall {face!r}", wall) for face, wall in walls.items()}
