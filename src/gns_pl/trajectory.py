@@ -16,7 +16,8 @@ from gns_pl.scene import Particles, Scene
 class Trajectory:
     """Positions of N particles in T frames, and what does not change with time.
 
-    Arrays, lists and tensors of other types become arrays of the types of `fields`, in which they are stored.
+    Arrays, lists and tensors of other types become arrays of the types of `fields`, in which they are stored; only
+    positions in double precision stay so until then.
 
     Attributes:
         position: [T, N, D] [m], float32; frame k is at time k · dt.
@@ -45,7 +46,10 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         for field in FIELDS:
-            object.__setattr__(self, field.name, np.asarray(getattr(self, field.name), dtype=field.dtype))
+            array = np.asarray(getattr(self, field.name))
+            # Positions in double precision are measured in it; simulators and files take single precision.
+            exact = field.name == "position" and array.dtype == np.float64
+            object.__setattr__(self, field.name, array if exact else array.astype(field.dtype, copy=False))
         object.__setattr__(self, "dt", float(self.dt))
         if self.position.ndim != 3 or self.position.shape[2] != self.scene.dim:
             raise InputError(f"trajectory: position must be [T, N, {self.scene.dim}], not {self.position.shape}.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -20,9 +21,10 @@ def options(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml") if not path.stem.startswith("_"))
 
 
+OPTUNA = find_spec("hydra_plugins") is not None and find_spec("hydra_plugins.hydra_optuna_sweeper") is not None
 SHIPPED = [
     *(("train", f"+experiment={name}") for name in options("experiment")),
-    *(("train", f"+sweep={name}") for name in options("sweep")),
+    *(("train", f"+sweep={name}") for name in options("sweep") if name != "optuna" or OPTUNA),
     *((command, f"data={name}") for command in ("train", "generate") for name in options("data")),
     *(("train", f"model={name}") for name in options("model")),
     *(("evaluate", f"evaluation={name}") for name in options("evaluation")),

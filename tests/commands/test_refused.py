@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -213,3 +214,10 @@ def test_nearest_first() -> None:
     assert nearest("xyz", ["abc"]) == [] and did_you_mean("xyz", ["abc"]) == ""
     assert did_you_mean("Seed", ["seed", "need"]) == " (did you mean seed?)"
     assert nearest("num_step", ["training.optimisation.num_steps", "num_train"], dotted=True)[0].endswith("num_steps")
+
+
+@pytest.mark.skipif(find_spec("hydra_plugins") is not None, reason="a plugin of Hydra is installed")
+@pytest.mark.parametrize(("argument", "extra"), [("+sweep=optuna", "optuna"), ("hydra/launcher=joblib", "joblib")])
+def test_a_plugin_that_is_missing_is_named(capsys: pytest.CaptureFixture[str], argument: str, extra: str) -> None:
+    told = refused(capsys, "train", "-m", "+experiment=quickstart", argument, "seed=0,1")
+    assert f"is not installed: pip install 'gns_pl[{extra}]'" in told

@@ -40,6 +40,22 @@ def test_every_trajectory_has_the_box_gravity_and_material_of_its_deck(runs: Pat
     assert read_manifest(ours).spacing == pytest.approx(0.1, rel=1e-6), "by the volume of a particle"
 
 
+def test_runs_at_several_places_on_a_map_have_their_own_origins(tmp_path: Path) -> None:
+    """They are 100 km apart, where float32 would round to a centimetre; each is near zero in its own box."""
+    places = {"a": (600_000.0, 5_100_000.0, 1500.0), "b": (700_000.5, 5_100_000.0, 0.0)}
+    for name, corner in places.items():
+        fixtures.write_cb_geo(tmp_path / "runs" / name, falling(5, side=3).astype(np.float64) + np.array(corner))
+        fixtures.write_deck(tmp_path / "runs" / name, corner=corner)
+    ours = converted(tmp_path / "runs", tmp_path / "ours")
+    for file, corner in zip(("train_0000", "valid_0000"), places.values(), strict=True):
+        trajectory = read_trajectory(ours / f"{file}.h5")
+        origin = np.floor(corner)
+        assert trajectory.scene.origin == tuple(origin) and trajectory.scene.lower == tuple(corner - origin)
+        np.testing.assert_allclose(trajectory.position, falling(5, side=3) + (corner - origin), atol=2e-7)
+    with pytest.raises(InputError, match=r"rounded to 0\.012, as float32 is there"):
+        converted(tmp_path / "runs", tmp_path / "one", lower=(0, 0, 0), upper=(1e6, 1e7, 1e4))
+
+
 def test_what_the_user_gives_holds_for_all_of_them(runs: Path, tmp_path: Path) -> None:
     ours = converted(runs, tmp_path / "ours", lower=(0, 0, 0), upper=(3, 3, 3), gravity=5.0)
     for file in ("train_0000", "valid_0000"):

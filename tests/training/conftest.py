@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,11 +53,13 @@ def data_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data") / "tiny"
 
 
-@pytest.fixture(autouse=True)
-def _few_windows_seen(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True, scope="module")
+def _few_windows_seen(request: pytest.FixtureRequest) -> Iterator[None]:
     """What a network saw takes half the time of such trainings: fewer windows are looked at where it is not tested."""
-    if request.module.__name__ != "tests.training.test_seen":
-        monkeypatch.setattr("gns_pl.training.seen.WINDOWS", 20)
+    with pytest.MonkeyPatch.context() as patch:
+        if request.module.__name__ != "tests.training.test_seen":
+            patch.setattr("gns_pl.training.seen.WINDOWS", 20)
+        yield
 
 
 @pytest.fixture(scope="session")

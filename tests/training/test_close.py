@@ -14,6 +14,7 @@ from omegaconf import open_dict
 from PIL import Image
 
 from gns_pl.models.checkpoint import load_checkpoint
+from gns_pl.text import override
 from gns_pl.training.close import best_validation
 from gns_pl.training.history import History, read_history
 from gns_pl.training.resume import find_resume
@@ -118,7 +119,8 @@ def test_a_summary_of_a_run_without_a_validation_can_be_told() -> None:
         "best": None, "final": None, "checkpoint": "/elsewhere/a b/last.ckpt",
     }  # fmt: skip
     text = "\n".join(summary_lines(summary))
-    assert "7 of 90 steps" in text and "not measured" in text and "ckpt='/elsewhere/a b/last.ckpt'" in text
+    assert "7 of 90 steps" in text and "not measured" in text
+    assert f"python evaluate.py {override('ckpt', '/elsewhere/a b/last.ckpt')}" in text
     assert "None" not in text and "best" not in text
 
 

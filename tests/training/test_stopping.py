@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import subprocess
 import time
 from pathlib import Path
 from typing import Any
@@ -146,14 +145,9 @@ class EndWorkers(Callback):
             assert len(workers) == 2
             for worker in workers:
                 os.kill(int(worker.pid or 0), signal.SIGUSR1)
-                outsider(int(worker.pid or 0))
+                os.kill(int(worker.pid or 0), signal.SIGTERM)
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(1)  # torch looks after its loader processes whenever one ends
-
-
-def outsider(pid: int) -> None:
-    """Send SIGTERM from a process that is not the parent."""
-    subprocess.run(["kill", "-TERM", str(pid)], check=True)
 
 
 def test_loader_processes_end_with_the_run_and_not_before(data_root: Path, tmp_path: Path) -> None:
@@ -170,18 +164,19 @@ def test_loader_processes_end_with_the_run_and_not_before(data_root: Path, tmp_p
     assert_same(*(torch.load(folder / "last.ckpt", weights_only=True) for folder in (whole, cut)))
 
 
-def test_a_loader_process_ends_when_its_parent_asks() -> None:
+def test_a_loader_process_obeys_sigterm_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gns_pl.data.datamodule.LOADER_GRACE", 1)
     context = multiprocessing.get_context("fork")
     ready = context.Event()
     worker = context.Process(target=_as_loader, args=(ready,), daemon=True)
     worker.start()
     assert ready.wait(20)
-    outsider(int(worker.pid or 0))
+    os.kill(int(worker.pid or 0), signal.SIGUSR1)
+    worker.terminate()
     worker.join(0.3)
     assert worker.is_alive()
-    worker.terminate()
     worker.join(20)
-    assert worker.exitcode == 0
+    assert worker.exitcode == -signal.SIGALRM
 
 
 def _as_loader(ready: Any) -> None:

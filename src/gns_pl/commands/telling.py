@@ -17,6 +17,15 @@ from gns_pl.commands.known import unknown_key
 from gns_pl.errors import InputError, file_sentence
 from gns_pl.text import did_you_mean, override
 
+EXTRAS = {
+    "hydra/sweeper/optuna": "optuna",
+    "hydra/launcher/joblib": "joblib",
+    "hydra/launcher/submitit_slurm": "slurm",
+    "hydra/launcher/submitit_local": "slurm",
+    "hydra/launcher/ray": "ray",
+}
+"""Plugins of Hydra → the extra of this package that brings them."""
+
 
 def sentence(error: Exception, arguments: Sequence[str], config: Path) -> str:
     """Return what is wrong with what was typed, and what to do.
@@ -86,6 +95,8 @@ def _unreadable(argument: str) -> str:
 
 
 def _missing_option(error: MissingConfigException, config: Path) -> str:
+    if error.missing_cfg_file in EXTRAS:
+        return f"{error.missing_cfg_file} is not installed: pip install 'gns_pl[{EXTRAS[error.missing_cfg_file]}]'."
     group, _, option = (error.missing_cfg_file or "").partition("/")
     known = options(config, group)
     if not option or not known:

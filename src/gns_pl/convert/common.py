@@ -80,17 +80,17 @@ class Common:
         where = " and ".join(each for each in SPLITS if self.part_of[each] == part)
         box = [list(pair) for pair in zip(scene.lower, scene.upper, strict=True)] if bounds is None else bounds
         known, step = self._boxes.setdefault(part, box), self._steps.setdefault(part, dt)
-        if box != known:
-            raise InputError(
-                f"its box is {box}, that of trajectories before it {known}, and {self.what} has one for {where}; "
-                f"{APART}, or give one box for all: lower=… upper=…"
-            )
         origin = list(scene.origin)
         before = self._origins.setdefault(part, origin)
         if origin != before:
             raise InputError(
                 f"its origin is {origin}, that of trajectories before it {before}, and {self.what} has one for "
                 f"{where}; {APART}"
+            )
+        if box != known:
+            raise InputError(
+                f"its box is {box}, that of trajectories before it {known}, and {self.what} has one for {where}; "
+                f"{APART}, or give one box for all: lower=… upper=…"
             )
         if abs(dt - step) > 1e-9 * step:
             raise InputError(

@@ -24,8 +24,6 @@ METRES = 0.03
 """Free fall within this share of it is in metres and seconds."""
 SI_KINDS = ("CB-Geo MPM", OURS)
 """Sources that are in SI units by their own definition."""
-OF_RECORDINGS = ("dt", "lower", "upper", "gravity", "spacing")
-"""What every recording may state of itself."""
 AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
 
 
@@ -170,14 +168,14 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         asks.append(material_question(*sample.material))
     spacing = given.spacing or stated_or_seen_spacing(found, sample, asks)
     apart = spacing or stated.spacing
-    if apart is not None and sample.rounding > COARSE * apart:
+    rounding = sample.rounding(given.for_all)
+    if apart is not None and rounding > COARSE * apart:
         raise InputError(
-            f"{found.path}: coordinates up to {sample.largest:.6g} are rounded to {sample.rounding:.2g}, as float32 "
+            f"{found.path}: coordinates up to {sample.largest:.6g} are rounded to {rounding:.2g}, as float32 "
             f"is there, for particles {apart:.3g} apart; write them in float64 or less an origin"
         )
-    for_all = tuple(name for name in OF_RECORDINGS if getattr(given, name) is not None)
     if spacing is not None and lower is not None and upper is not None and len(lower) == len(upper) == dim:
-        seen_outside, ask = box_findings(sample, lower, upper, spacing, for_all)
+        seen_outside, ask = box_findings(sample, lower, upper, spacing, given.for_all)
         notes += seen_outside
         asks += [ask] if ask else []
     gravity = given.gravity
@@ -208,7 +206,7 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         spacing=float(spacing * scale),
         types=given.types,
         notes=tuple(notes),
-        given=for_all,
+        given=given.for_all,
         material_value=material_value,
         **box,
     )
@@ -253,7 +251,7 @@ def _gravity(
         return sample.dim - 1 if axis is None else axis, None
     if dt is None or not sample.windows:
         return axis, None
-    rounding = sample.rounding / dt**2
+    rounding = sample.rounding(given.for_all) / dt**2
     second = [np.diff(window, n=2, axis=0) / dt**2 for window in sample.windows]
     acceleration = np.concatenate([each[1] for each in second])
     previous = np.concatenate([each[0] for each in second])

@@ -10,6 +10,9 @@ from typing import Any
 from gns_pl.convert.material_value import check_material_value
 from gns_pl.errors import InputError
 
+OF_RECORDINGS = ("dt", "lower", "upper", "gravity", "spacing")
+"""What every recording may state of itself."""
+
 
 @dataclass(frozen=True)
 class Given:
@@ -58,6 +61,11 @@ class Given:
         object.__setattr__(self, "types", types)
         if self.material_value is not None:
             check_material_value(self.material_value)
+
+    @property
+    def for_all(self) -> tuple[str, ...]:
+        """Names of what holds for all recordings, whatever they state of themselves."""
+        return tuple(name for name in OF_RECORDINGS if getattr(self, name) is not None)
 
 
 def axis_number(wanted: str | int, dim: int) -> int:

@@ -26,26 +26,63 @@ MOST_PARTICLES = 20_000
 
 
 @dataclass(frozen=True)
+class Seen:
+    """Frames of one recording, in the source's units.
+
+    Attributes:
+        stated: what it states of itself.
+        start: the moved particles of the first frame [N, D].
+        windows: four frames in a row of moved particles, each [4, N, D].
+        lower: least coordinates in these, of all particles [D].
+        upper: greatest coordinates [D].
+    """
+
+    stated: Stated | None
+    start: NDArray[np.float64]
+    windows: list[NDArray[np.float64]]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+    def box(self, given: Collection[str]) -> tuple[tuple[float, ...] | None, ...]:
+        """Return the corners of its box [D], None for one that it does not state or that the user gave for all."""
+        dim = self.start.shape[1]
+        own = [None if name in given else getattr(self.stated, name, None) for name in ("lower", "upper")]
+        return tuple(None if corner is None or len(corner) != dim else corner for corner in own)
+
+
+@dataclass(frozen=True)
 class Sample:
     """Frames of some recordings, in the source's units.
 
     Attributes:
         dim: D.
-        starts: the moved particles of some first frames, each [N, D].
-        lower: least coordinates seen [D].
-        upper: greatest coordinates seen [D].
-        windows: four frames in a row of moved particles, each [4, N, D].
-        boxed: these and the first frames [F, N, D], each with what its recording states of itself.
+        seen: of every recording.
         material: least and greatest material value whose meaning is not stated; None without such.
     """
 
     dim: int
-    starts: list[NDArray[np.float64]]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    windows: list[NDArray[np.float64]]
-    boxed: list[tuple[NDArray[np.float64], Stated | None]]
+    seen: list[Seen]
     material: tuple[float, float] | None = None
+
+    @property
+    def starts(self) -> list[NDArray[np.float64]]:
+        """The moved particles of the first frames, each [N, D]."""
+        return [each.start for each in self.seen]
+
+    @property
+    def windows(self) -> list[NDArray[np.float64]]:
+        """Four frames in a row of moved particles, each [4, N, D]."""
+        return [window for each in self.seen for window in each.windows]
+
+    @property
+    def lower(self) -> NDArray[np.float64]:
+        """Least coordinates seen [D]."""
+        return _lowest(self.seen)
+
+    @property
+    def upper(self) -> NDArray[np.float64]:
+        """Greatest coordinates seen [D]."""
+        return _highest(self.seen)
 
     @property
     def largest(self) -> float:
@@ -57,15 +94,34 @@ class Sample:
         """Longest edge of the box around all that was seen."""
         return float((self.upper - self.lower).max())
 
-    @property
-    def rounding(self) -> float:
-        """To what coordinates are rounded: float32 where they are, if all are such numbers; else float32 near zero.
+    def rounding(self, given: Collection[str]) -> float:
+        """Return to what coordinates are rounded: float32 where they are, if all are such numbers; else near zero.
 
-        The latter is what is left of float64 when its origin is taken off.
+        The latter is what is left of float64 when the origin of each box is taken off.
+
+        Args:
+            given: of "lower" and "upper", those that the user gave, for all recordings.
         """
-        seen = [*self.starts, *self.windows]
-        single = all((each == each.astype(np.float32)).all() for each in seen)
-        return float(np.finfo(np.float32).eps) * (self.largest if single else min(self.extent, self.largest))
+        extent, digit = self.largest, float(np.finfo(np.float32).eps)
+        if not all((each == each.astype(np.float32)).all() for each in [*self.starts, *self.windows]):
+            places = self.by_box(given).values()
+            extent = min(extent, max(float((_highest(seen) - _lowest(seen)).max()) for seen in places))
+        return digit * extent
+
+    def by_box(self, given: Collection[str]) -> dict[tuple[tuple[float, ...] | None, ...], list[Seen]]:
+        """Return box (`Seen.box`) → recordings with it."""
+        boxes: dict[tuple[tuple[float, ...] | None, ...], list[Seen]] = {}
+        for each in self.seen:
+            boxes.setdefault(each.box(given), []).append(each)
+        return boxes
+
+
+def _lowest(seen: Iterable[Seen]) -> NDArray[np.float64]:
+    return np.asarray(np.min([each.lower for each in seen], axis=0))
+
+
+def _highest(seen: Iterable[Seen]) -> NDArray[np.float64]:
+    return np.asarray(np.max([each.upper for each in seen], axis=0))
 
 
 def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
@@ -79,11 +135,9 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
         InputError: recordings that cannot be read, or of different dimensions.
     """
     chosen = np.unique(np.linspace(0, len(found.names) - 1, SAMPLE).round().astype(int))
-    starts, windows, dims = [], [], set()
-    boxed: list[tuple[NDArray[np.float64], Stated | None]] = []
+    seen: list[Seen] = []
+    dims: set[int] = set()
     values: list[float] = []
-    lowest: list[NDArray[np.float64]] = []
-    highest: list[NDArray[np.float64]] = []
     for number in chosen.tolist():
         with found.recording(number) as recording:
             dims.add(recording.dim)
@@ -93,8 +147,8 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
             if not len(moved):
                 continue
             some = moved[:: max(1, len(moved) // MOST_PARTICLES)]
-            starts.append(recording.frames(0, 1)[0, moved].astype(np.float64))
-            boxed.append((starts[-1][None], recording.stated))
+            start = recording.frames(0, 1)[0, moved].astype(np.float64)
+            windows, lowest, highest = [], [], []
             last = max(0, recording.num_frames - 4)
             places = np.unique(np.concatenate([np.arange(3), np.linspace(0, last, WINDOWS)]).round().astype(int))
             for place in places[places <= last].tolist():
@@ -103,13 +157,13 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
                 highest.append(whole.max(axis=(0, 1)).astype(np.float64))
                 if len(whole) == 4:
                     windows.append(whole[:, some].astype(np.float64))
-                    boxed.append((windows[-1], recording.stated))
+            seen.append(Seen(recording.stated, start, windows, np.min(lowest, axis=0), np.max(highest, axis=0)))
     if len(dims) > 1:
         raise InputError(f"{found.path}: holds trajectories in two and in three dimensions; convert them apart.")
-    if not starts:
+    if not seen:
         raise InputError(f"{found.path}: all its particles are kinematic, so nothing moves.")
     material = (min(values), max(values)) if values else None
-    return Sample(dims.pop(), starts, np.min(lowest, axis=0), np.max(highest, axis=0), windows, boxed, material)
+    return Sample(dims.pop(), seen, material)
 
 
 def _moved(recording: Recording, types: Mapping[int, int]) -> NDArray[np.bool_]:
@@ -168,17 +222,12 @@ def box_findings(
         spacing: particles outside by less are not counted.
         given: of "lower" and "upper", those that the user gave, for all recordings.
     """
-    boxes: dict[tuple[tuple[float, ...], ...], list[NDArray[np.float64]]] = {}
-    for frames, stated in sample.boxed:
-        own = [None if name in given else getattr(stated, name, None) for name in ("lower", "upper")]
-        box = tuple(
-            corner if each is None or len(each) != sample.dim else each
-            for each, corner in zip(own, (lower, upper), strict=True)
-        )
-        boxes.setdefault(box, []).append(frames)
+    notes = []
     try:
-        notes = [check_inside(frames, *box, margin=spacing) for box, frames in boxes.items()]
+        for own, recordings in sample.by_box(given).items():
+            frames = [moved for each in recordings for moved in (each.start[None], *each.windows)]
+            notes.append(check_inside(frames, own[0] or lower, own[1] or upper, margin=spacing))
     except InputError as error:
-        seen = f"{listed(sample.lower, sample.extent)} and {listed(sample.upper, sample.extent)}"
-        return [], f"{error}; all are between {seen}: give lower=… upper=…, or the right scale=…"
+        between = f"{listed(sample.lower, sample.extent)} and {listed(sample.upper, sample.extent)}"
+        return [], f"{error}; all are between {between}: give lower=… upper=…, or the right scale=…"
     return [note for note in notes if note], ""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -44,26 +42,20 @@ class TrajectoryDataset(Dataset[Trajectory | None]):
         return None if path is None else read_trajectory(path).every(self.stride)
 
 
-def _leave_signals_to_parent(worker: int) -> None:
-    """Let a loader process end only when the process that trains ends it, which needs its windows for the last step.
+LOADER_GRACE = 60
+"""Seconds that a loader process outlives a SIGTERM."""
 
-    Terminals send Ctrl-C to all processes of a command, batch systems SIGTERM and others.
+
+def _leave_signals_to_parent(worker: int) -> None:
+    """Let a loader process outlive signals, for the process that trains needs its windows for the last step.
+
+    Terminals send Ctrl-C to all processes of a command, batch systems SIGTERM and others. Torch ends loader processes
+    without a signal, and by SIGTERM if that fails; so SIGTERM is obeyed, but late.
     """
     for name in ("SIGINT", "SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    if not hasattr(signal, "sigwaitinfo"):  # macOS; torch ends loader processes without a signal, too
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        return
-    # The parent ends loader processes by SIGTERM if they do not end by themselves, so that one is told from others'.
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-    threading.Thread(target=_end_if_parent_asks, args=(os.getppid(),), daemon=True).start()
-
-
-def _end_if_parent_asks(parent: int) -> None:
-    while signal.sigwaitinfo({signal.SIGTERM}).si_pid != parent:
-        pass
-    os._exit(0)
+    signal.signal(signal.SIGTERM, lambda number, frame: signal.alarm(LOADER_GRACE))  # SIGALRM ends a process
 
 
 class TrajectoryDataModule(LightningDataModule):

@@ -16,11 +16,17 @@ from gns_pl.io.tracking import wandb_mode
 
 
 class WandbRun(WandbLogger):
-    """Lightning's logger for W&B without its setting `anonymous`, which W&B has given up and warns of."""
+    """Lightning's logger for W&B, for every start in one process.
+
+    Without the setting `anonymous`, which W&B has given up and warns of. Lightning asks for a run on this disk by
+    WANDB_MODE alone, which W&B reads once in a process.
+    """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self._wandb_init.pop("anonymous", None)
+        if self._offline:
+            self._wandb_init["mode"] = "offline"
 
 
 class TensorBoard(TensorBoardLogger):

@@ -239,10 +239,12 @@ def write_deck(
     frictions: Mapping[int, float] | None = None,
     name: str = "mpm.json",
     uuid: str = "run",
+    corner: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Path:
-    """A deck with its mesh, a cube of one cell; `frictions` are material id → φ in degrees."""
+    """A deck with its mesh, a cube of one cell from a corner on; `frictions` are material id → φ in degrees."""
     folder.mkdir(parents=True, exist_ok=True)
     corners = np.stack(np.meshgrid(*[[0.0, size]] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    corners = corners + np.array(corner[:dim])
     lines = ["# a cell", f"{len(corners)} 1", *(" ".join(map(str, corner)) for corner in corners)]
     lines.append(" ".join(map(str, range(len(corners)))))
     (folder / "mesh.txt").write_text("\n".join(lines) + "\n")
