@@ -1,7 +1,50 @@
 """gns_pl: learned simulators of three-dimensional granular flow, trained on the material point method.
 
-A `Scene` goes in, a `Trajectory` comes out; the material point solver and the learned simulator are two ways across.
-Importing this package stays light: nothing heavier than the standard library is imported here.
+A `Scene` goes in, a `Trajectory` comes out, and whatever leads across is a solver. Importing this package stays light:
+the public names are imported when they are first used.
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+PUBLIC = {
+    "Scene": "scene",
+    "read_scene": "scene",
+    "Trajectory": "trajectory",
+    "read_trajectory": "io",
+    "write_trajectory": "io",
+    "load_checkpoint": "models.checkpoint",
+    "register_model": "models.registry",
+    "register_network": "nn",
+    "generate_dataset": "generation",
+    "InputError": "errors",
+}
+"""Public name → module that defines it."""
+
+if TYPE_CHECKING:
+    from gns_pl.errors import InputError as InputError
+    from gns_pl.generation import generate_dataset as generate_dataset
+    from gns_pl.io import read_trajectory as read_trajectory
+    from gns_pl.io import write_trajectory as write_trajectory
+    from gns_pl.models.checkpoint import load_checkpoint as load_checkpoint
+    from gns_pl.models.registry import register_model as register_model
+    from gns_pl.nn import register_network as register_network
+    from gns_pl.scene import Scene as Scene
+    from gns_pl.scene import read_scene as read_scene
+    from gns_pl.trajectory import Trajectory as Trajectory
+
+
+def __getattr__(name: str) -> Any:
+    if name not in PUBLIC:
+        raise AttributeError(f"module 'gns_pl' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"gns_pl.{PUBLIC[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *PUBLIC})

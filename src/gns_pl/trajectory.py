@@ -12,7 +12,7 @@ from gns_pl.fields import FIELDS, MATERIAL_FEATURES
 from gns_pl.scene import Particles, Scene
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trajectory:
     """Positions of N particles in T frames, and what does not change with time.
 
@@ -65,6 +65,14 @@ class Trajectory:
                 raise InputError(f"trajectory: {name} must be {shape}, not {array.shape}.")
         if not self.dt > 0:
             raise InputError(f"trajectory: dt must be positive, not {self.dt}.")
+
+    def __repr__(self) -> str:
+        solver = self.provenance.get("solver", "not told")
+        return (
+            f"Trajectory of {self.scene.name!r}: {self.num_frames} frames of {self.num_particles:,} particles in "
+            f"{self.scene.dim} dimensions, every {self.dt:g} s to {self.dt * (self.num_frames - 1):g} s\n"
+            f"  position {list(self.position.shape)} m, mass {self.mass.sum():.4g} kg, solver: {solver}"
+        )
 
     @property
     def num_frames(self) -> int:
