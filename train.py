@@ -1,36 +1,6 @@
 """python train.py +experiment=NAME [key=value …]: generate the data where missing, train a simulator on them."""
 
-from pathlib import Path
-
-import hydra
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
-
-from gns_pl.commands import job, start
-from gns_pl.text import override
-from gns_pl.training.resume import find_resume
-from gns_pl.training.summary import objective, shown_path
-from gns_pl.training.sweep import sweep_reported
-
-
-@hydra.main(version_base=None, config_path="conf", config_name="train")
-def main(cfg: DictConfig) -> float | None:
-    """Train with one config and return its least validation error; Hydra calls it once per job of a sweep."""
-    with job("train.py", cfg):
-        output = Path(HydraConfig.get().runtime.output_dir)
-        if cfg.advise:
-            from gns_pl.training.advice import advise
-
-            advise(cfg, output)
-            return None
-        resume = find_resume(cfg.resume, output)  # before the heavy imports: torch, Lightning, W&B
-        from gns_pl.training.train import train
-
-        last = train(cfg, output, resume)
-        print(f"To judge its last state: python evaluate.py {override('ckpt', shown_path(last))}")
-    return objective(output)
-
+from gns_pl.commands.train import run
 
 if __name__ == "__main__":
-    with sweep_reported():
-        start(main, "train")
+    run()

@@ -125,3 +125,16 @@ def seconds(value: float) -> str:
     if value < 0.01:
         return f"{1e3 * value:.2g} ms"
     return f"{value:.3g} s" if value < 600 else f"{value / 60:.3g} min"
+
+
+_program = ["python {}.py"]
+
+
+def use_program(form: str) -> None:
+    """Say how commands are typed from here on, with {} in the place of their names."""
+    _program[0] = form
+
+
+def command(name: str) -> str:
+    """Return how a command is typed: "python train.py" in the repository, "gns-pl train" of an installed package."""
+    return _program[0].format(name)

@@ -1,6 +1,7 @@
 """What every command does before and after its work: read what was typed, refuse what is no key, tell what went wrong.
 
-The commands themselves are the files at the root. Nothing of simulation, training or evaluation belongs here.
+Each command is a file of one shape; those at the root of the repository call them. Nothing of simulation, training or
+evaluation belongs here.
 """
 
 from gns_pl.commands.command import job, start, sweep_label

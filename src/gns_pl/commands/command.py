@@ -17,6 +17,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
+import gns_pl
 from gns_pl.commands.arguments import prepared
 from gns_pl.commands.help import help_text
 from gns_pl.commands.known import check_known
@@ -25,12 +26,15 @@ from gns_pl.errors import InputError, told_plainly
 from gns_pl.machine import prepare_process
 from gns_pl.text import file_label
 
+CONF = Path(gns_pl.__file__).parent / "conf"
+"""The configuration: conf/ of the repository, to which a link leads here, and a copy of it in an installed package."""
+
 FULL_ERROR = "HYDRA_FULL_ERROR"
 GOES_ON = "stopped; the same command goes on where it was."
 
 
 def start(main: Callable[[], Any], config_name: str) -> None:
-    """Run a command of the root folder with the arguments that it was started with.
+    """Run a command with the arguments that it was started with.
 
     Args:
         main: its function, decorated by `hydra.main`.
@@ -40,8 +44,8 @@ def start(main: Callable[[], Any], config_name: str) -> None:
         SystemExit: status 2 after a sentence on stderr, for all that a user can mend.
     """
     prepare_process()
-    file = Path(inspect.getfile(inspect.unwrap(main))).resolve()
-    config = file.parent / "conf" / f"{config_name}.yaml"
+    file = Path(inspect.getfile(inspect.unwrap(main)))
+    config = CONF / f"{config_name}.yaml"
     typed = sys.argv[1:]
     if {"-h", "--help"} & set(typed):
         print(help_text(config))

@@ -9,6 +9,7 @@ import yaml
 
 from gns_pl.commands.arguments import default_groups
 from gns_pl.commands.telling import options
+from gns_pl.text import command
 
 ADDED = {"train": ("experiment", "sweep")}
 """Groups of which a command has no option unless one is named."""
@@ -29,7 +30,7 @@ def help_text(config: Path) -> str:
     head = yaml.safe_load(text)["hydra"]["help"]
     groups = [*sorted(default_groups(config)), *ADDED.get(config.stem, ())]
     listed = [f"  {name}={'|'.join(options(config, name))}" for name in groups if options(config, name)]
-    return "\n".join(
+    lines = "\n".join(
         [
             head["header"].strip(),
             "",
@@ -42,6 +43,7 @@ def help_text(config: Path) -> str:
             *(f"  {line}".rstrip() for line in _settings(text)),
         ]
     )
+    return re.sub(r"python (\w+)\.py", lambda found: command(found[1]), lines)
 
 
 def _settings(text: str) -> list[str]:

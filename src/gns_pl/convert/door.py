@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError
-from gns_pl.text import override
+from gns_pl.text import command, override
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -27,7 +27,7 @@ def convert_config(cfg: DictConfig) -> None:
     source, target, inspect = (settings.pop(key) for key in ("source", "target", "inspect"))
     if not source or not (target or inspect):
         raise InputError(
-            "which source and target? python convert.py source=FOLDER target=datasets/NAME, or inspect=true"
+            f"which source and target? {command('convert')} source=FOLDER target=datasets/NAME, or inspect=true"
         )
     settings.pop("sand")
     weights, of_files = settings.pop("weights"), {key: settings.pop(key) for key in ("trust", "deck", "lost")}
@@ -53,7 +53,7 @@ def convert_config(cfg: DictConfig) -> None:
     print(f"Made: {path}")
     if settings["to"] == "gns_pl":
         radius = advised_radius_of(read_manifest(path))
-        print(f"To train on it: python train.py {override('data', path)} model.connectivity_radius={radius:g}")
+        print(f"To train on it: {command('train')} {override('data', path)} model.connectivity_radius={radius:g}")
 
 
 def _convert_weights(source: Path, target: Path | None, settings: dict[str, Any], weights: dict[str, Any]) -> None:

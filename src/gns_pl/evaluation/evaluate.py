@@ -12,6 +12,7 @@ from gns_pl.evaluation.doors import check_figures, check_space, default_folder, 
 from gns_pl.evaluation.judge import SceneResult, judge_scene
 from gns_pl.evaluation.scenes import build_scenes, chosen
 from gns_pl.metrics.curves import cut, write_curves
+from gns_pl.text import command
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -47,7 +48,7 @@ def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, 
         raise InputError("cell_size= is that of solver=mpm; a checkpoint is judged against the MPM of its own data.")
     evaluation, wanted = settings["evaluation"], settings["ckpt"]
     if not wanted:
-        raise InputError("which checkpoint? Name one: python evaluate.py ckpt=runs/…/last.ckpt")
+        raise InputError(f"which checkpoint? Name one: {command('evaluate')} ckpt=runs/…/last.ckpt")
     checkpoints = named_checkpoints(wanted if isinstance(wanted, list) else [wanted])
     if evaluation["figures"]:
         check_figures()

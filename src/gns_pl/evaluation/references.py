@@ -20,7 +20,7 @@ from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import compression_notice
 from gns_pl.solvers.learned import start_of
-from gns_pl.text import override
+from gns_pl.text import command, override
 from gns_pl.trajectory import Trajectory
 
 STARTS = ("scene", "frames")
@@ -171,7 +171,6 @@ def stored_folder(data: Mapping[str, Any]) -> Path:
     for folder in (root, root / f"every_{chosen_every(data)}"):
         if (folder / MANIFEST_NAME).is_file():
             return folder
-    hint = (
-        "convert them again" if is_imported(data) else f"make them: python generate.py {override('data', data['name'])}"
-    )
+    name = override("data", data["name"])
+    hint = "convert them again" if is_imported(data) else f"make them: {command('generate')} {name}"
     raise InputError(f"evaluation.split: {root} holds no data; say where they are with data.root=FOLDER, or {hint}")

@@ -21,6 +21,7 @@ from gns_pl.solvers.learned import FittedWay
 from gns_pl.solvers.measured_range import unmeasured_reasons
 from gns_pl.solvers.reduction import why_not_plane
 from gns_pl.solvers.solver import MPMWay, Way
+from gns_pl.text import command
 
 FINE_ERROR = 0.03
 """Of the reference itself, MPM on cells of 1/48 m, against the converged runout (docs/reference.md); none is better."""
@@ -147,8 +148,8 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
     trusted = [each for each in options if each.reason is None and each.seconds is not None]
     if not trusted:
         raise InputError(
-            "no way was measured on scenes of this kind; measure it (python benchmark.py) and name the table that this "
-            "makes (choice.records=), or name a ckpt."
+            f"no way was measured on scenes of this kind; measure it ({command('benchmark')}) and name the table that "
+            "this makes (choice.records=), or name a ckpt."
         )
     learned = [each for each in options if isinstance(each.way, FittedWay)]
     beyond = ""

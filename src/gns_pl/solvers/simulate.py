@@ -39,7 +39,7 @@ from gns_pl.solvers.familiarity import told
 from gns_pl.solvers.folder import alone, prepare
 from gns_pl.solvers.learned import plane_of, start_of
 from gns_pl.solvers.reduction import Reduction
-from gns_pl.text import did_you_mean
+from gns_pl.text import command, did_you_mean
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -93,8 +93,8 @@ def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
         ckpt = None
     if not named or not (ckpt or way or chooses):
         raise InputError(
-            "which scene, and by which way? python simulate.py scene=column_collapse tolerance=0.05, or ckpt=collapse "
-            "scene=FILE.yaml"
+            f"which scene, and by which way? {command('simulate')} scene=column_collapse tolerance=0.05, or "
+            "ckpt=collapse scene=FILE.yaml"
         )
     settings["out"] = Path(settings["out"])
     if isinstance(ckpt, list):

@@ -9,7 +9,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
-from gns_pl.text import override
+from gns_pl.text import command, override
 
 FORMAT = "gns_pl training summary"
 FORMAT_VERSION = 1
@@ -68,7 +68,7 @@ def summary_lines(summary: Mapping[str, Any]) -> list[str]:
     for label, values in (("best", summary["best"]), ("at the end", summary["final"])):
         if values is not None:
             lines.append(f"  {label:<11} step {values['step']:,}: {described(values)}")
-    lines.append(f"  to judge it python evaluate.py {override('ckpt', shown_path(summary['checkpoint']))}")
+    lines.append(f"  to judge it {command('evaluate')} {override('ckpt', shown_path(summary['checkpoint']))}")
     return lines
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.scenes import build_scenes
-from gns_pl.text import override
+from gns_pl.text import command, override
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -130,7 +130,7 @@ def finish(
     for path in (out / RECORDS, *([Path(records)] if records else [])):
         number = write_records(path, found)
         goes_by = override("choice.records", path)
-        print(f"{path}: {number} records; python simulate.py … tolerance=… {goes_by} goes by them")
+        print(f"{path}: {number} records; {command('simulate')} … tolerance=… {goes_by} goes by them")
         made.append(path)
     if publish:
         Path(publish).mkdir(parents=True, exist_ok=True)

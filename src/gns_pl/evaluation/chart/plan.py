@@ -15,6 +15,7 @@ from typing import Any
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.rows import BatchRow, Place, RatioRow, RunRow, Table
 from gns_pl.io.atomic import write_atomically
+from gns_pl.text import command
 
 FORMAT, FORMAT_VERSION = "gns_pl chart", 1
 
@@ -172,6 +173,6 @@ def read_plan(path: Path) -> Plan:
         content["pairs"] = tuple((float(coarse), float(fine)) for coarse, fine in content["pairs"])
         return Plan(**{**content, "law": tuple(content["law"])})
     except FileNotFoundError as error:
-        raise InputError(f"{path}: is not there yet; run python benchmark.py without from_table=true.") from error
+        raise InputError(f"{path}: is not there yet; run {command('benchmark')} without from_table=true.") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: is no plan of benchmark.py ({error}); choose another out=.") from error

@@ -12,6 +12,7 @@ from gns_pl.errors import InputError, tolerated
 from gns_pl.evaluation.doors import check_figures, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.scenes import chosen
 from gns_pl.io.atomic import write_atomically
+from gns_pl.text import command
 
 SOLVERS = ("learned", "mpm")
 
@@ -34,7 +35,7 @@ def stress_from_settings(settings: Mapping[str, Any], label: str = "") -> dict[s
         raise InputError(f"solver must be one of {', '.join(SOLVERS)}, not {solver!r}.")
     wanted = settings["ckpt"]
     if solver == "learned" and not wanted:
-        raise InputError("which checkpoint? python evaluate.py ckpt=FILE +evaluation=stress, or solver=mpm")
+        raise InputError(f"which checkpoint? {command('evaluate')} ckpt=FILE +evaluation=stress, or solver=mpm")
     checkpoints: dict[str, Path] = {}
     if solver == "learned":
         checkpoints = named_checkpoints(wanted if isinstance(wanted, list) else [wanted])

@@ -15,7 +15,7 @@ from gns_pl.generation import DatasetSpec, chosen_every, generate_dataset, is_im
 from gns_pl.generation.records import first_difference
 from gns_pl.io import MANIFEST_NAME, Manifest, read_manifest
 from gns_pl.models.registry import simulator_config
-from gns_pl.text import override
+from gns_pl.text import command, override
 from gns_pl.training.advice import report
 from gns_pl.training.advice.numbers import compute_advice
 from gns_pl.training.advice.suggestions import suggest
@@ -78,7 +78,7 @@ def find_dataset(data: Mapping[str, Any]) -> Path:
         typed = f"{override('data', data['name'])} {override('data.root', root)}"
         raise InputError(
             f"{root}: the data are not there, and advice is about data; to generate them, {size / 1e9:.2g} GB, type "
-            f"python generate.py {typed}, which shows how long it takes."
+            f"{command('generate')} {typed}, which shows how long it takes."
         )
     return generate_dataset(data, device="auto")
 
