@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: install quickstart test test-slow notebooks validation test-gpu docs lint clean
+.PHONY: install quickstart test package test-slow notebooks validation test-gpu docs lint clean
 
 install: $(STAMP)
 
@@ -20,6 +20,10 @@ quickstart: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope
+
+# The wheel's commands and configuration in an empty folder, and the README's Python: slow tests, but of every push.
+package: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m slow tests/commands/test_cli.py tests/docs/test_python.py
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
