@@ -121,7 +121,7 @@ def trained(folder: Path, path: Path, *, latent: int = 16, steps: int = 2, **pro
         neighbours="auto",
     )  # fmt: skip
     simulator = FrameSimulator(config).eval()
-    simulator.set_frame_statistics(manifest.statistics, manifest.dt, NOISE)
+    simulator.fit_statistics(manifest.statistics, gravity=0.0, noise_std=NOISE, material=torch.empty(2, 0))
     told = {"config": {"training": {"noise_std": NOISE, "stride": 1}}, "manifest_sha256": manifest_sha256(folder)}
     data = {**manifest.spec, "imported": {}, "root": str(folder)}
     del data["families"]

@@ -25,7 +25,7 @@ class Cheat(Simulator):
         self.truth = torch.from_numpy(truth.position)
         self.frame = 0
 
-    def normalised_acceleration(self, history: torch.Tensor, static: Static) -> torch.Tensor:
+    def normalised_acceleration(self, history: torch.Tensor, static: Static, **_: object) -> torch.Tensor:
         self.frame += 1
         true_history = history.clone()
         for back in range(history.shape[1]):

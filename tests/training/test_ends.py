@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 from dataclasses import replace
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,13 +17,14 @@ from hydra.types import RunMode
 from lightning.pytorch import Callback, LightningModule, Trainer
 from omegaconf import DictConfig, open_dict
 
+from gns_pl.commands import train as train_command
 from gns_pl.errors import InputError
 from gns_pl.io import read_manifest, read_trajectory, write_manifest, write_trajectory
 from gns_pl.training import close, rollout_figure
 from gns_pl.training.summary import objective, read_summary
 from gns_pl.training.train import train
 from gns_pl.trajectory import Trajectory
-from tests.training.conftest import CONF, FAMILIES, assert_same, make_config
+from tests.training.conftest import FAMILIES, assert_same, make_config
 from tests.training.test_stopping import callback
 
 HERE = "tests.training.test_ends"
@@ -284,13 +284,9 @@ def test_the_command_returns_what_a_sweeper_makes_small(
     data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a value Optuna finds no trial completed."""
-    spec = spec_from_file_location("train_command", CONF.parent / "train.py")
-    assert spec is not None and spec.loader is not None
-    command = module_from_spec(spec)
-    spec.loader.exec_module(command)
     hydra = SimpleNamespace(mode=RunMode.RUN, runtime=SimpleNamespace(output_dir=str(tmp_path)))
     monkeypatch.setattr(HydraConfig, "get", lambda: hydra)
-    error = command.main.__wrapped__(make_config(data_root, tmp_path))
+    error = train_command.main.__wrapped__(make_config(data_root, tmp_path))
     summary = read_summary(tmp_path)
     assert summary is not None and error == summary["best"]["position_error"] > 0
     summary["best"] = None  # all rollouts failed
