@@ -39,7 +39,8 @@ from torch_geometric.nn import MessagePassing
 
 import gns_pl.models.simulator
 from gns_pl.graph import radius_graph
-from gns_pl.models.simulator import Simulator, SimulatorConfig
+from gns_pl.models.config import SimulatorConfig
+from gns_pl.models.simulator import Simulator
 from gns_pl.nn import EncodeProcessDecode
 from gns_pl.rollout.acceleration import CapturedStepper, accelerate
 from gns_pl.rollout.engine import Run, history_of, static_of

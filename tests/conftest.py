@@ -13,7 +13,8 @@ import torch
 import torch.multiprocessing
 
 from gns_pl.graph import Draws, Static
-from gns_pl.models.simulator import Simulator, SimulatorConfig
+from gns_pl.models.config import SimulatorConfig
+from gns_pl.models.simulator import Simulator
 from gns_pl.scene import Material, Scene, Wall, column_collapse, cube_drop, fill_scene
 from gns_pl.scene.definition import FACES
 from gns_pl.trajectory import Trajectory, start_trajectory

@@ -10,7 +10,8 @@ import torch
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
-from gns_pl.models.simulator import OUTPUTS, Simulator, SimulatorConfig
+from gns_pl.models.config import OUTPUTS, SimulatorConfig
+from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import rollout, static_of
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory, ballistic_history

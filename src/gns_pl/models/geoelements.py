@@ -26,7 +26,8 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import Static, edge_features, radius_graph
-from gns_pl.models.simulator import Evaluation, Search, Simulator, SimulatorConfig
+from gns_pl.models.config import SimulatorConfig
+from gns_pl.models.simulator import Evaluation, Search, Simulator
 from gns_pl.nn import DEFAULT_NETWORK, EncodeProcessDecode, in_float32
 
 EDGE_UPDATES = ("residual", "legacy_doubling")

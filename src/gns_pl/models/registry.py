@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.geoelements import FrameSimulator
-from gns_pl.models.simulator import Simulator, SimulatorConfig
+from gns_pl.models.simulator import Simulator
 from gns_pl.nn.network import imported
 
 MODELS: dict[str, type[Simulator]] = {"simulator": Simulator, "frames": FrameSimulator}

@@ -14,7 +14,8 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import NeighbourList, Static, radius_graph
-from gns_pl.models.simulator import Evaluation, Simulator, SimulatorConfig
+from gns_pl.models.config import SimulatorConfig
+from gns_pl.models.simulator import Evaluation, Simulator
 from gns_pl.nn import EncodeProcessDecode, network_class
 from gns_pl.nn.encode_process_decode import FUSED_WIDTHS
 from gns_pl.rollout.stepper import SimulatorStepper, Stepper

@@ -20,7 +20,7 @@ from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
 from gns_pl.graph import Static
 from gns_pl.machine import machine_name
-from gns_pl.models.simulator import SimulatorConfig
+from gns_pl.models.config import SimulatorConfig
 from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.stepper import Stepper

@@ -9,7 +9,7 @@ import torch
 from gns_pl.errors import InputError
 from gns_pl.graph import context_bytes, radius_graph
 from gns_pl.machine import free_memory
-from gns_pl.models.simulator import SimulatorConfig
+from gns_pl.models.config import SimulatorConfig
 from gns_pl.nn import network_class
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.rollout.stepper import Stepper

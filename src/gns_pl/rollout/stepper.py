@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from gns_pl.graph import Static, radius_graph
-from gns_pl.models.simulator import Evaluation, Search, Simulator, SimulatorConfig
+from gns_pl.models.config import SimulatorConfig
+from gns_pl.models.simulator import Evaluation, Search, Simulator
 
 
 class Stepper(Protocol):

@@ -32,21 +32,18 @@ from gns_pl.rollout.progress import counting
 from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.stabilise import stabilise as stabilised
 from gns_pl.rollout.stepper import Stepper
-from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
-from gns_pl.scene.changes import changed, changes_label, decoded
-from gns_pl.scene.checks import checked_number, checked_numbers
+from gns_pl.scene import Scene
+from gns_pl.scene.changes import decoded
 from gns_pl.solvers.familiarity import told
 from gns_pl.solvers.folder import alone, prepare
 from gns_pl.solvers.learned import plane_of, start_of
+from gns_pl.solvers.named_scene import named_scene
 from gns_pl.solvers.reduction import Reduction
-from gns_pl.text import command, did_you_mean
+from gns_pl.text import command
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-COLUMN = ("length", "aspect_ratio", "duration_tau", "gravity")
-"""Numbers of a column of the catalogue."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +99,7 @@ def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
             f"ckpt={','.join(map(str, ckpt))}: a run takes one checkpoint; -m ckpt=A,B makes a run of each."
         )
     checkpoint = existing_checkpoint(ckpt, [*corrector_names(), *choice["handed"]]) if ckpt else None
-    scenes = [_named_scene(each, catalogue, changes, label) for each in ([named] if isinstance(named, str) else named)]
+    scenes = [named_scene(each, catalogue, changes, label) for each in ([named] if isinstance(named, str) else named)]
     if checkpoint is None:
         from gns_pl.solvers.catalogue import simulate_by_choice
 
@@ -115,47 +112,6 @@ def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
             "check= are MPM's)."
         )
     return simulate(checkpoint, scenes, **settings)
-
-
-def _named_scene(name: Any, catalogue: Mapping[str, Any], changes: Mapping[str, Any], label: str = "") -> Scene:
-    """Return a scene of the catalogue (conf/simulate.yaml), or of a file, with changes, which its name carries."""
-    if not isinstance(name, str):
-        raise InputError(f"scene: a file or a name is needed, not {name!r}.")
-    if name in catalogue:
-        parts = changed(catalogue[name], changes, name)
-        unknown = [key for key in parts if key not in (*catalogue[name], "name")]
-        if unknown:
-            meant, there = did_you_mean(unknown[0], catalogue[name]), ", ".join(catalogue[name])
-            raise InputError(f"scene.{unknown[0]}: {name} has no such key{meant}; there are {there}.")
-        scene = _column(parts, str(parts.get("name", name)))
-    elif Path(name).exists():
-        scene = read_scene(Path(name), changes)
-    else:
-        known = [*catalogue, *(str(path) for path in sorted(Path(name).parent.glob("*.y*ml")))]
-        raise InputError(
-            f"{name}: there is no such scene file{did_you_mean(name, known)}; the catalogue has {', '.join(catalogue)}."
-        )
-    return scene.replace(name="_".join(filter(None, (scene.name, changes_label(changes), label))))
-
-
-def _column(parts: Mapping[str, Any], name: str) -> Scene:
-    owner = f"scene {name!r}"
-    numbers = {key: checked_number(owner, key, parts[key], 0.0, above=True) for key in COLUMN}
-    gravity, height = numbers["gravity"], numbers["length"] * numbers["aspect_ratio"]
-    side, walls = parts["side_walls"], parts["walls"]
-    if not isinstance(walls, Mapping):
-        raise InputError(f"{owner}: walls must be a mapping, not {walls!r}.")
-    sides = {"y-": side, "y+": side} if side else {}
-    return column_collapse(
-        domain=checked_numbers(owner, "domain", parts["domain"]),
-        length=numbers["length"],
-        height=height,
-        gravity=gravity,
-        duration=numbers["duration_tau"] * math.sqrt(height / gravity),
-        material=part_from_dict(Material, "material", parts["material"]),
-        walls={face: part_from_dict(Wall, f"wall {face}", wall) for face, wall in {**walls, **sides}.items()},
-        name=name,
-    )
 
 
 def simulate(

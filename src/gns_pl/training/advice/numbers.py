@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from gns_pl.data.findings import Survey
-from gns_pl.models.simulator import SimulatorConfig
+from gns_pl.models.config import SimulatorConfig
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.perturbation import Perturbation
 
