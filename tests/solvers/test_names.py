@@ -65,7 +65,7 @@ def test_an_alias_is_a_name_of_the_solver_too(tmp_path: Path, capsys: pytest.Cap
         assert "chosen: collapse_plane, as asked for" in capsys.readouterr().out
     with pytest.raises(InputError, match=r"cell_size= and check= are MPM's"):
         run(tmp_path, "collapse_plane", column(), "check=true")
-    with pytest.raises(InputError, match="which scene, and by which way"):
+    with pytest.raises(InputError, match="give scene= and either ckpt= or tolerance="):
         run(tmp_path, "null", column(), "check=true")
     with pytest.raises(InputError, match="cell_size= is that of solver=mpm; tolerance= chooses among"):
         run(tmp_path, "0.05", column(), "cell_size=0.05", key="tolerance")

@@ -86,7 +86,10 @@ def test_a_run_that_stops_being_finite_ends_there(learned: LearnedWay) -> None:
     ("scene", "reason"),
     [
         (column(sides=ROUGH), "of plane strain, and the scene is not: wall y- is not slip"),
-        (column(3.0, walls=column().walls | {"z-": Wall("friction", 0.2)}), "walls were others"),
+        (
+            column(3.0, walls=column().walls | {"z-": Wall("friction", 0.2)}),
+            "trained with other walls (z-: friction 0.385, here friction 0.2)",
+        ),
         (column(3.0, gravity=(0, 0, -1.62)), "gravity was 9.81"),
         (column(0.3), "aspect ratios from 0.5 to 3, not 0.3"),
         (column(bodies=(Body((0, 0, 0), (0.8, 0.5, 0.8), (0, 0, 0)),)), "lengths from 0.2 to 0.5 m"),
@@ -161,7 +164,7 @@ def test_the_cheapest_that_is_accurate_enough(learned: LearnedWay) -> None:
     assert fine.error == 0.03 and fine.seconds == pytest.approx(3.0 if available_cores() == 1 else 1.0)
     options = weigh(column(sides=ROUGH), ways, records)
     chosen, why = choose(options, 0.5)
-    assert chosen.way.name == "fine" and "beyond everything learned" in why
+    assert chosen.way.name == "fine" and "outside the range of every learned solver" in why
     assert "not: is of plane strain" in table(options, column(sides=ROUGH))
     assert f"{'coarse':24} not: was not measured" in table(options, column(sides=ROUGH))
     with pytest.raises(InputError, match="tolerance must be positive"):
@@ -197,7 +200,7 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "in plane strain" in said and "chosen: mpm_5, the cheapest of 1 that meet 20 %; plane strain" in said
     assert "here, 1 threads" in said
     simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
-    assert "is there whole" in capsys.readouterr().out
+    assert "already complete" in capsys.readouterr().out
     with pytest.raises(InputError, match="of another scene, way, settings, frame interval or seed"):
         simulate_by_choice([column(1.2)], out=out, tolerance=0.2, **settings)
     with pytest.raises(InputError, match="frame interval"):

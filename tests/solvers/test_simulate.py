@@ -72,7 +72,7 @@ def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    assert "after" in said or "is there whole" in said
+    assert "after" in said or "already complete" in said
     stable = {"sleep": 0.1, "least_distance": 0.2, "passive": True}  # conf/rollout/stable.yaml
     simulate(ckpt, [drop], out=tmp_path / "whole", duration=0.6, device="cpu", watch=False, stabilise=stable)
     whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "out"))
@@ -137,10 +137,10 @@ def test_what_fails_is_told_and_not_tried_again(
     simulator.acceleration_scale.fill_(1e38)
     save_checkpoint(tmp_path / "wild.ckpt", Checkpoint(simulator, {}, {}))
     (path,) = simulate(tmp_path / "wild.ckpt", [drop], out=tmp_path, device="cpu")
-    assert "no sand does this: positions were no longer finite at 0.01 s; ended there" in capsys.readouterr().out
+    assert "unphysical state: positions were no longer finite at 0.01 s; run stopped" in capsys.readouterr().out
     assert read_trajectory(path).provenance["failed_at"] == 0.01
     simulate(tmp_path / "wild.ckpt", [drop], out=tmp_path, device="cpu")
-    assert "is there until it failed at 0.01 s" in capsys.readouterr().out
+    assert "complete until it failed at 0.01 s" in capsys.readouterr().out
 
 
 def test_two_scenes_of_one_name(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
@@ -151,8 +151,8 @@ def test_two_scenes_of_one_name(ckpt: Path, drop: Scene, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["ckpt=collapse"], "which scene, and by which way?"),
-        (["scene=column_collapse"], "which scene, and by which way?"),
+        (["ckpt=collapse"], "give scene= and either ckpt= or tolerance="),
+        (["scene=column_collapse"], "give scene= and either ckpt= or tolerance="),
         (["scene=column_collapse", "ckpt=collapse", "tolerance=0.1"], "names the way already"),
         (["scene=nowhere.yaml", "tolerance=0.1"], "nowhere.yaml"),
         (
@@ -178,7 +178,7 @@ def test_a_scene_at_rest_ends_and_says_so(
     assert short.num_frames == 4 and "at_rest_from" not in short.provenance
     assert "6 frames, at rest from 0.05 s" in capsys.readouterr().out
     simulate(ckpt, [drop], **settings)
-    assert "is there until it came to rest at 0.05 s" in capsys.readouterr().out
+    assert "complete until it came to rest at 0.05 s" in capsys.readouterr().out
 
 
 def test_a_scene_of_the_catalogue_by_a_tolerance(tmp_path: Path) -> None:

@@ -34,6 +34,11 @@ class Wall:
         if self.condition != "friction" and self.friction:
             raise InputError(f'wall: friction {self.friction} needs condition "friction", not "{self.condition}".')
 
+    @property
+    def description(self) -> str:
+        """The condition, with the coefficient where there is friction."""
+        return f"friction {self.friction:g}" if self.condition == "friction" else self.condition
+
 
 @dataclass(frozen=True)
 class Plane:

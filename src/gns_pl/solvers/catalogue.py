@@ -239,7 +239,7 @@ def _run(way: Way, scene: Scene, path: Path, interval: float, seed: int) -> Path
             raise InputError(
                 f"{path}: is of another scene, way, settings, frame interval or seed; remove it or choose another out=."
             )
-        print(f"{path}: is there whole")
+        print(f"{path}: already complete")
         return path
     began = time.perf_counter()
     made = way.run(scene, interval=interval, seed=seed)

@@ -70,7 +70,7 @@ class Familiarity:
             in_what = f" ({', '.join(words)})" if words else ""
             parts.append(f"left the training range at {self.left_at:.3g} s{in_what}")
         if self.reasons:
-            parts.append(f"the data knew no such scene ({self.reasons[0]})")
+            parts.append(f"scene outside the training data ({self.reasons[0]})")
         return "; ".join(parts) or None
 
 

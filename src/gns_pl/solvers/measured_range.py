@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from gns_pl.errors import InputError
-from gns_pl.scene import Scene, Wall
+from gns_pl.scene import Scene
 from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.solvers.reduction import to_plane, why_not_plane
 
@@ -47,7 +47,7 @@ def setup_of(scene: Scene) -> dict[str, str | float]:
         **_materials(scene),
         "gravity": " ".join(f"{value + 0.0:g}" for value in scene.gravity) + " m/s²",
     }
-    setup |= {f"wall {face}": _wall(wall) for face, wall in scene.walls.items() if face not in ("x+", "z+")}
+    setup |= {f"wall {face}": wall.description for face, wall in scene.walls.items() if face not in ("x+", "z+")}
     setup |= {"aspect_ratio": height / length, "size": size, "room": room}
     if scene.dim == 3:
         setup["width"] = (scene.upper[1] - scene.lower[1]) / size
@@ -129,7 +129,3 @@ def _materials(scene: Scene) -> dict[str, str]:
         key: " and ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in dict.fromkeys(each))
         for key, each in values.items()
     }
-
-
-def _wall(wall: Wall) -> str:
-    return f"{wall.condition} {wall.friction:g}" if wall.condition == "friction" else wall.condition

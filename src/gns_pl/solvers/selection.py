@@ -154,7 +154,7 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
     learned = [each for each in options if isinstance(each.way, FittedWay)]
     beyond = ""
     if learned and all(each.reason is not None for each in learned):
-        beyond = "the scene is beyond everything learned, so the material point method it is: "
+        beyond = "the scene is outside the range of every learned solver, so MPM runs it: "
     candidates = [each for each in trusted if each.error is not None]
     promised = bool(candidates)
     if not promised:

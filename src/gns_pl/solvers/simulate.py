@@ -90,8 +90,7 @@ def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
         ckpt = None
     if not named or not (ckpt or way or chooses):
         raise InputError(
-            f"which scene, and by which way? {command('simulate')} scene=column_collapse tolerance=0.05, or "
-            "ckpt=collapse scene=FILE.yaml"
+            f"give scene= and either ckpt= or tolerance=: {command('simulate')} scene=column_collapse tolerance=0.05"
         )
     settings["out"] = Path(settings["out"])
     if isinstance(ckpt, list):
@@ -194,10 +193,10 @@ def simulate(
             _write(left, stepper, identity, rest, watches)
             for job in left:
                 if sentence := told(checkpoint, job.path, job.reduction):
-                    print(f"{job.path}: {sentence}; do not trust it without a look at MPM.")
+                    print(f"{job.path}: {sentence}; verify it with MPM.")
     for job in jobs:
         if job not in left:
-            print(f"{job.path}: is there {job.ended or 'whole'}")
+            print(f"{job.path}: {f'complete {job.ended}' if job.ended else 'already complete'}")
     return [job.path for job in jobs]
 
 
@@ -286,7 +285,7 @@ def _write(
                         failed = {"failed_at": failure.time, "failure": failure.sentence} if failure else {}
                         finish(number, **failed)
                         if failed:
-                            print(f"{jobs[number].path}: no sand does this: {failed['failure']}; ended there.")
+                            print(f"{jobs[number].path}: unphysical state: {failed['failure']}; run stopped.")
                 show(made, total)
             for number in sorted(open_jobs):
                 finish_rested(number, made)

@@ -32,7 +32,14 @@ def beyond(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
     known = [{face: part_from_dict(Wall, face, wall) for face, wall in each.items()} for each in walls]
     touched = [face for face in scene.walls if face != "z+"]  # nothing rises to the lid
     if all(any(each.get(face) != scene.walls[face] for face in touched) for each in known):
-        yield "its walls were others"
+        seen = {face: {each[face].description for each in known if face in each} for face in touched}
+        here = {face: scene.walls[face].description for face in touched}
+        other = next((face for face in touched if here[face] not in seen[face]), None)
+        # Where each wall occurs by itself, no family has all of them.
+        how = "in this combination"
+        if other is not None:
+            how = f"{other}: {' or '.join(sorted(seen[other])) or 'none'}, here {here[other]}"
+        yield f"trained with other walls ({how})"
     gravity = float(data.get("gravity", 0.0))
     if any(scene.gravity[:-1]) or abs(-scene.gravity[-1] - gravity) > 0.01 * gravity:
         yield f"its gravity was {gravity:g} m/s² downwards"

@@ -63,7 +63,7 @@ class Verdict:
         if self.as_fast is None:
             fast = "no MPM of the chart is as fast"
         elif self.as_good == self.as_fast:
-            fast = "and is the most accurate as fast, too"
+            fast = "and no MPM as fast is more accurate"
         else:
             factor = self.as_fast.error / self.own.error if self.own.error else float("inf")
             compared = f"{factor:.2g} times as much" if factor >= 1 else f"{1 / factor:.2g} times less"
