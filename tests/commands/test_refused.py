@@ -159,6 +159,7 @@ def test_a_folder_that_cannot_be_generated(capsys: pytest.CaptureFixture[str], f
         folder / "a=b", replace(manifest, spec={"name": "n", "gravity": 9.81, "imported": {"format": "npz"}})
     )
     assert "a=b: its data are imported" in refused(capsys, "generate", "data=a=b")
+    assert "of its own finer runs, and these data are imported" in refused(capsys, "correct", "data=a=b")
 
 
 def test_unwritable_folders_are_told(capsys: pytest.CaptureFixture[str], folder: Path) -> None:

@@ -25,7 +25,7 @@ from torch.utils.data import DataLoader, IterableDataset
 
 import gns_pl
 from gns_pl.errors import InputError
-from gns_pl.generation import chosen_every, generate_dataset
+from gns_pl.generation import chosen_every, generate_dataset, is_imported, resolved_data
 from gns_pl.io import manifest_sha256, read_manifest, read_trajectory
 from gns_pl.io.lock import locked
 from gns_pl.metrics.curves import compute_curves
@@ -229,6 +229,9 @@ def correction_config(cfg: DictConfig) -> Path:
     from omegaconf import OmegaConf
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    settings["data"] = resolved_data(settings["data"])
+    if is_imported(settings["data"]):
+        raise InputError("correct.py fits what MPM misses of its own finer runs, and these data are imported.")
     return fit_corrector(settings, Path(HydraConfig.get().runtime.output_dir))
 
 
