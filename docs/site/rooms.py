@@ -104,10 +104,21 @@ def class_identifiers() -> dict[str, str]:
     return {name: full.pop() for name, full in found.items() if len(full) == 1}
 
 
+@functools.cache
+def public_names() -> dict[str, str]:
+    """Return what the package offers by itself: name → module that defines it."""
+    for node in read_module("__init__").body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id == "PUBLIC":
+            return dict(ast.literal_eval(node.value))
+    return {}
+
+
 def identifier(code: str, classes: dict[str, str]) -> str | None:
     """Return the full name of what a piece of code may name: `Scene`, `Simulator.state`, `rollout.gradient`."""
     dotted = code.removeprefix("gns_pl.")
     first, dot, _ = dotted.partition(".")
+    if dotted != code and first in public_names():
+        return f"gns_pl.{public_names()[first]}.{dotted}"
     if dotted != code or (dot and first in ROOMS):
         return f"gns_pl.{dotted}"
     return classes[first] + dotted.removeprefix(first) if first in classes else None

@@ -174,7 +174,7 @@ stand at every data set as the attribute `unit` in H5MD's spelling (`m s-1`). Gr
 |---|---|---|---|---|
 {rows}
 
-- Where the scene has an `origin` [D] [m], positions and box are less that: coordinates on the map are
+- Where the scene has an `origin` (D numbers, in m), positions and box are less that: coordinates on the map are
   `position + origin`, to be added in float64. Without one it is zero. Exports for display add it (VTK, ParaView); those
   for training, which are float32, keep it in `metadata.json` under the same name.
 - Velocities are not stored: they are the backward differences of the positions, with `initial_velocity` in frame 0.

@@ -7,6 +7,8 @@ from gns_pl.nn.network import NETWORKS, Network, build_network, network_class, r
 from gns_pl.nn.precision import in_float32
 
 DEFAULT_NETWORK = "encode_process_decode"
+"""Name of the network that a model has without another word."""
+
 register_network(DEFAULT_NETWORK, EncodeProcessDecode)
 
 __all__ = [
