@@ -39,12 +39,12 @@ from gns_pl.generation.reference import reference_trajectory
 from gns_pl.io.tables import write_table
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict
 from gns_pl.scene.extent import characteristic_time
-from gns_pl.solvers.catalogue import make_ways
-from gns_pl.solvers.learned import LearnedWay
+from gns_pl.solvers.catalogue import make_solvers
+from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.measured_range import setup_text
 from gns_pl.solvers.reduction import Reduction, reduce_scene
 from gns_pl.solvers.selection import Record
-from gns_pl.solvers.solver import MPMWay, Way
+from gns_pl.solvers.solver import MPMSolver, Solver
 from gns_pl.solvers.trivial import extrapolate
 from gns_pl.trajectory import Trajectory
 
@@ -127,15 +127,15 @@ def main() -> None:
     choice, paper = config["choice"], config["paper"]
     learned = choice["learned"] if args.learned is None else args.learned
     corrected = choice["corrected"] if args.corrected is None else args.corrected
-    ways = make_ways(learned, corrected, choice["handed"], choice["cells"], choice["mpm"])
+    ways = make_solvers(learned, corrected, choice["handed"], choice["cells"], choice["mpm"])
     own = {way.name for way in ways}
-    simulators = [way for way in ways if type(way) is LearnedWay and way.name in choice["learned"]]
-    extra: list[Way] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in simulators]
+    simulators = [way for way in ways if type(way) is LearnedSolver and way.name in choice["learned"]]
+    extra: list[Solver] = [replace(way, name=f"{way.name}+rest", rest_speed=args.rest_speed) for way in simulators]
     extra += [
         replace(way, name=f"{way.name}+sleep", rest_speed=args.rest_speed, stabilise={"sleep": args.rest_speed})
         for way in simulators
     ]
-    solvers = [way for way in ways if isinstance(way, MPMWay)]
+    solvers = [way for way in ways if isinstance(way, MPMSolver)]
     extra += [replace(way, name=f"{way.name} whole", reduces=False) for way in solvers[:3]]
     device = f"{platform.machine()} CPU"
     print(f"{device}, torch {torch.__version__}, turns {args.turns}, {args.seeds} placements")
@@ -166,10 +166,10 @@ def main() -> None:
                 print(HEAD)
                 of_cell: dict[float, list[Row]] = {}
                 for way in [*ways, *extra]:
-                    if way.why_not(scene):
+                    if way.unsupported_reason(scene):
                         continue
 
-                    def run(seed: int, way: Way = way, scene: Scene = scene) -> Trajectory:
+                    def run(seed: int, way: Solver = way, scene: Scene = scene) -> Trajectory:
                         return way.run(scene, interval=INTERVAL, seed=seed)
 
                     made, seconds = timed(lambda run=run: run(0), args.turns)
@@ -187,7 +187,7 @@ def main() -> None:
                         **(worst | {"runout": mean["runout"]}),
                     )  # fmt: skip
                     rows.append(row)
-                    if isinstance(way, MPMWay) and "whole" not in way.name:
+                    if isinstance(way, MPMSolver) and "whole" not in way.name:
                         of_cell[way.cells] = [row]
                     show(row)
                 for coarse, finer in ((0, 1), (1, 2), (0, 2)):

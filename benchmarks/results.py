@@ -36,7 +36,7 @@ from gns_pl.io import file_sha256
 from gns_pl.machine import machine_name
 from gns_pl.metrics.summary import Measured
 from gns_pl.models.shipped import ALIASES, FOLDER, find_checkpoint, find_corrector
-from gns_pl.solvers.learned import CorrectedWay, FittedWay, LearnedWay
+from gns_pl.solvers.learned import CorrectedSolver, LearnedSolver, TrainedSolver
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results.csv"
@@ -95,14 +95,14 @@ def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
     rows: list[Row] = []
     for model in MODELS:
         trained = file_of(model)
-        way: FittedWay
+        way: TrainedSolver
         for split, named in (("test", "columns"), ("validation", "validation")):
             config = settings(named)
             evaluation = config["evaluation"]
             if trained.suffix == ".corrector":
-                way = CorrectedWay(model, trained)
+                way = CorrectedSolver(model, trained)
             else:
-                way = LearnedWay(model, trained, stabilise=config["stabilise"])
+                way = LearnedSolver(model, trained, stabilise=config["stabilise"])
             scenes = build_scenes(
                 evaluation["columns"], None, only=None, domain=evaluation["domain"],
                 duration=evaluation["duration"], interval=way.interval, data=way.data,
@@ -124,7 +124,7 @@ def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def judge(model: str, sha256: str, way: FittedWay, whole: Measured, seeds: Sequence[int], split: str) -> Row:
+def judge(model: str, sha256: str, way: TrainedSolver, whole: Measured, seeds: Sequence[int], split: str) -> Row:
     """Run a model on a column from all placements."""
     scene, runs, seconds = whole.trajectory.scene, [], []
     way.run(scene, interval=way.interval, seed=seeds[0])  # what is compiled at first use is not timed

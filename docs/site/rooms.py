@@ -23,8 +23,19 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "mpm": ("settings",),
     "models": ("simulator", "geoelements", "corrector", "registry", "checkpoint", "shipped"),
     "generation": (),
-    "rollout": ("gradient", "acceleration", "stabilise", "rest", "failure", "distributed"),
-    "solvers": ("simulate", "solver", "learned", "selection", "reduction", "correction", "familiarity"),
+    "rollout": ("gradient", "acceleration", "stabilise", "policy", "rest", "failure", "distributed"),
+    "solvers": (
+        "solver",
+        "mpm",
+        "learned",
+        "corrected",
+        "hybrid",
+        "catalogue",
+        "simulate",
+        "selection",
+        "reduction",
+        "ood",
+    ),
     "evaluation": ("evaluate", "bands", "stress.suite", "chart.benchmark"),
     "viz": (),
     "inverse": ("deposit", "problem", "fit"),
@@ -37,6 +48,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "errors": (),
     "machine": (),
     "text": (),
+    "presets": (),
 }
 
 
