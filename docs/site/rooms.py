@@ -72,14 +72,18 @@ def first_sentence(room: str) -> str:
     return (ast.get_docstring(read_module(room)) or "").partition("\n\n")[0].replace("\n", " ")
 
 
-def floors_table() -> list[str]:
-    """Return CONTRIBUTING's table of floors, from the import contract in pyproject.toml, the ground floor last."""
+def floors() -> list[tuple[int, list[str]]]:
+    """Return every floor's number and rooms, from the import contract in pyproject.toml, the ground floor last."""
     project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
     (contract,) = project["tool"]["importlinter"]["contracts"]
+    layers = [layer.split(" | ") for layer in contract["layers"]]
+    return list(zip(reversed(range(len(layers))), layers, strict=True))
+
+
+def floors_table() -> list[str]:
+    """Return CONTRIBUTING's table of floors, the ground floor last."""
     rows = ["| floor | room | what it is for |", "|---|---|---|"]
-    for floor, rooms in zip(reversed(range(len(contract["layers"]))), contract["layers"], strict=True):
-        rows += [f"| {floor} | `{room}` | {first_sentence(room)} |" for room in rooms.split(" | ")]
-    return rows
+    return rows + [f"| {floor} | `{room}` | {first_sentence(room)} |" for floor, rooms in floors() for room in rooms]
 
 
 def api_index() -> str:
