@@ -136,7 +136,6 @@ def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
 
 
 def test_films_and_series_in_three_dimensions(checkpoint, tmp_path) -> None:
-    imageio = pytest.importorskip("imageio.v3")
     pyvista = pytest.importorskip("pyvista")
     from gns_pl.viz.studio import draws_without_screen
 
@@ -144,8 +143,8 @@ def test_films_and_series_in_three_dimensions(checkpoint, tmp_path) -> None:
         pytest.skip("VTK finds no OpenGL to draw without a screen")
     out = tmp_path / "out"
     run(checkpoint, tmp_path, only="short", film="gif", paraview=True, animation={"num_frames": 4, "width": 401})
-    assert len(imageio.imread(out / "film_short.gif")) == 4
-    assert imageio.imread(out / "still_short.png").std() > 10
+    with Image.open(out / "film_short.gif") as film, Image.open(out / "still_short.png") as still:
+        assert film.n_frames == 4 and np.asarray(still).std() > 10
     reader = pyvista.get_reader(out / "paraview" / "learned_short.pvd")
     reader.set_active_time_value(reader.time_values[-1])
     arrays = reader.read()[0].point_data
