@@ -1,5 +1,4 @@
-"""What the shipped models are worth: one table, in the README, in docs/results.md and on the models' cards, whose head is for
-the Hugging Face Hub.
+"""What the shipped models are worth: one table, in the README, in docs/results.md and on the models' cards.
 
     python benchmarks/results.py                          # measure what docs/results.csv lacks, write the tables
     python benchmarks/results.py --from-table             # write the tables again
@@ -10,7 +9,7 @@ as `simulate.py` does it. Errors are against all points of the MPM that taught i
 takes, so its page says the same: the mean over the placements, their standard deviation, the largest in brackets. A
 time is that of a whole column, neighbours and copies included: CPU seconds of one thread, the least of the six runs,
 since what else a machine does only adds to them. Tables go between marks in the files, so that the words around them
-stay.
+stay; a card's YAML head, which the Hugging Face Hub reads, is written anew.
 """
 
 from __future__ import annotations
