@@ -9,7 +9,7 @@ as `simulate.py` does it. Errors are against all points of the MPM that taught i
 takes, so its page says the same: the mean over the placements, their standard deviation, the largest in brackets. A
 time is that of a whole column, neighbours and copies included: CPU seconds of one thread, the least of the six runs,
 since what else a machine does only adds to them. Tables go between marks in the files, so that the words around them
-stay.
+stay; a card's YAML head, which the Hugging Face Hub reads, is written anew.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import yaml
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
@@ -41,6 +42,7 @@ from gns_pl.solvers.learned import CorrectedSolver, LearnedSolver, TrainedSolver
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results.csv"
 MODELS = ("column-fast", "column-fast-plane", "friction_plane", "corrected_plane")
+TAGS = ["granular-flow", "physics-simulation", "graph-neural-network", "material-point-method", "pytorch"]
 
 
 @dataclass(frozen=True)
@@ -182,15 +184,48 @@ def table(rows: Sequence[Row]) -> str:
 
 def tables(rows: Sequence[Row]) -> dict[Path, str]:
     """Return file → the table that stands in it: all of it, the test columns in the README, a model's on its card."""
-    cards = {FOLDER / f"{file_of(model).stem}.md": [row for row in rows if row.model == model] for model in MODELS}
+    cards = {card(model): [row for row in rows if row.model == model] for model in MODELS}
     parts = {ROOT / "docs" / "results.md": rows, ROOT / "README.md": [row for row in rows if row.split == "test"]}
     return {path: table(part) for path, part in (parts | cards).items()}
 
 
+def card(model: str) -> Path:
+    """Return the card of a model."""
+    return FOLDER / f"{file_of(model).stem}.md"
+
+
+def head(model: str, rows: Sequence[Row]) -> str:
+    """Return the YAML that stands between two lines of --- on top of a card, for the Hugging Face Hub.
+
+    It names no `datasets`: these are identifiers of the Hub, where ours are not.
+    """
+    names = {"runout": "final 99 % runout, error", "height": "final mean height, error", "profile": "profile, error"}
+    results = [
+        {
+            "task": {"type": "graph-ml", "name": "collapse of a column of dry sand"},
+            "dataset": {"type": row.scene, "name": row.scene.replace("_", ", a = "), "split": row.split},
+            "metrics": [{"type": key, "name": name, "value": getattr(row, key)} for key, name in names.items()],
+        }
+        for row in rows
+        if row.model == model
+    ]
+    metadata = {
+        "library_name": "gns_pl",
+        "license": "mit",
+        "pipeline_tag": "graph-ml",
+        "tags": TAGS,
+        "model-index": [{"name": card(model).stem, "results": results}],
+    }
+    return yaml.safe_dump(metadata, sort_keys=False, allow_unicode=True, width=120)
+
+
 def write_tables(rows: Sequence[Row]) -> None:
-    """Put the tables where they belong."""
+    """Put the tables where they belong, and the heads onto the cards."""
     for path, text in tables(rows).items():
         put(path, "models", text)
+    for model in MODELS:
+        body = re.sub(r"\A---\n.*?\n---\n", "", card(model).read_text(encoding="utf-8"), flags=re.S)
+        card(model).write_text(f"---\n{head(model, rows)}---\n{body}", encoding="utf-8")
 
 
 def put(path: Path, name: str, content: str) -> None:
