@@ -32,3 +32,8 @@ def preset(name: str) -> dict[str, Any]:
     whole.wanted = _loaded(FOLDER / f"{name}.yaml")
     content: dict[str, Any] = OmegaConf.to_container(whole.wanted, resolve=True)  # type: ignore[assignment]
     return content
+
+
+def scene_names() -> list[str]:
+    """Return the names of the scenes that come with the package (conf/scenes)."""
+    return sorted(path.stem for path in (FOLDER / "scenes").glob("*.yaml"))

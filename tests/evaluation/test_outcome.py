@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gns_pl.evaluation.outcome import distance_from_bodies, outcome_of, read_outcome
+from gns_pl.evaluation.outcome import outcome_of, read_outcome
 from gns_pl.io import write_trajectory
 from gns_pl.metrics.curves import compute_curves
 from gns_pl.scene import Body, Scene
@@ -71,11 +71,6 @@ def test_bodies_away_from_a_wall_run_out_in_every_direction(direction: tuple[flo
     outcome = outcome_of(moved(start, offset))
     assert outcome.runout == pytest.approx(0.3, abs=0.03)
     assert "from where the bodies were released" in outcome.measured_from
-
-
-def test_distances_are_those_from_the_nearest_body() -> None:
-    position = np.array([[0.5, 0.2, 0], [0.7, 0.2, 0], [1.3, 0.8, 9.0], [0.5, 0.05, 0]])
-    assert distance_from_bodies(position, blocks()) == pytest.approx([-0.1, 0.1, 0.5, 0.05])
 
 
 def test_a_file_says_what_the_run_said(tmp_path: Path) -> None:

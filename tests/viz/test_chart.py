@@ -10,21 +10,25 @@ import pytest
 from gns_pl.viz import Mark, plot_chart
 from gns_pl.viz.chart import GROUPS
 
+MEASURES = {"front": "final front", "map": "final deposit", "worse": "the worse of both"}
+
 
 def mark(number: int, group: str, **changes: object) -> Mark:
     values: dict[str, object] = {
         "name": f"{group}_{number}", "group": group, "seconds": 0.1 * (number + 1), "low": 0.09, "high": 0.2,
-        "error": 0.3, "label": f"{group}_{number}", "whole": False, "on_front": False, "spent": 0.0, "pays": "never",
+        "label": f"{group}_{number}", "whole": False, "on_fronts": (), "spent": 0.0, "pays": "never",
     }  # fmt: skip
-    return Mark(**values | changes)  # type: ignore[arg-type]
+    error = changes.pop("error", 0.3)
+    errors = {"front": error, "map": math.inf if group in ("law", "extrapolated") else error, "worse": error}
+    return Mark(**values | {"errors": errors} | changes)  # type: ignore[arg-type]
 
 
 def test_every_group_has_its_mark(tmp_path: Path) -> None:
-    marks = [mark(number, group, spent=10.0 * number, on_front=number == 0) for number, group in enumerate(GROUPS)]
+    marks = [mark(number, group, spent=10.0 * number, on_fronts=["front", "worse"] if number == 0 else []) for number, group in enumerate(GROUPS)]
     marks += [mark(9, "learned", error=math.inf), mark(9, "law", seconds=1e-7), mark(9, "mpm", error=0.0, whole=True)]
     rates = {"mpm_0": ("mpm", [(2, 3.0), (1, 2.0)]), "learned_1": ("learned", [(1, 1.0)])}
     paths = [tmp_path / "chart.png", tmp_path / "chart.svg"]
-    plot_chart(marks, rates, band=0.015, title="two columns", caption="Who wins. " * 60, paths=paths)
+    plot_chart(marks, rates, bands=dict.fromkeys(MEASURES, 0.015), measures=MEASURES, title="two columns", caption="Who wins. " * 60, paths=paths)
     assert all(path.stat().st_size > 20_000 for path in paths)
     drawn = paths[1].read_text()
     assert all(f"<!-- {name} -->" in drawn for name in ("mpm_0", "law_9", "two columns")) and "learned_9" not in drawn
@@ -32,5 +36,6 @@ def test_every_group_has_its_mark(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("band", [0.0, 0.5])
 def test_a_chart_of_one_setting_without_batches_and_costs(tmp_path: Path, band: float) -> None:
-    plot_chart([mark(0, "mpm")], {}, band=band, title="", caption="", paths=[tmp_path / "chart.png"])
+    bands = dict.fromkeys(MEASURES, band)
+    plot_chart([mark(0, "mpm")], {}, bands=bands, measures=MEASURES, title="", caption="", paths=[tmp_path / "chart.png"])
     assert (tmp_path / "chart.png").exists()

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from gns_pl.metrics.laws import LAWS
 from gns_pl.metrics.measures import particle_spacing
+from gns_pl.metrics.release import is_column
 from gns_pl.scene.extent import characteristic_time
 
 if TYPE_CHECKING:
     from gns_pl.evaluation.judge import SceneResult
-    from gns_pl.scene import Scene
 
 LEAST_COLUMNS = 3
 """From so many columns on their runouts are drawn beside published laws."""
@@ -96,13 +96,6 @@ def draw_in_space(
         still, beside = out / f"still_{name}.png", {TITLES["reference"]: reference}
         files.append(render_still(still, learned, colour=colour, title=TITLES["learned"], side_by_side=beside))
     return files
-
-
-def is_column(scene: Scene) -> bool:
-    """Return whether a scene is one column at rest against the x- wall, on the floor, as the laws are about."""
-    [body, *others] = scene.bodies
-    at_wall = abs(body.position[0] - scene.lower[0]) + abs(body.position[-1] - scene.lower[-1]) < 1e-6
-    return not others and at_wall and not any(body.velocity)
 
 
 def of_columns(reports: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[float, float, float]]]:

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.evaluation.figures import is_column
 from gns_pl.fields import ParticleType
 from gns_pl.io import open_trajectory, read_header, read_static, read_window
 from gns_pl.metrics.curves import mobile
 from gns_pl.metrics.measures import Floats, arrest_time, percentile_front
-from gns_pl.scene import Scene
+from gns_pl.metrics.release import is_column, release_distance
 from gns_pl.trajectory import Trajectory
 
 NUM_FRAMES = 200
@@ -127,13 +126,11 @@ def outcome_of(trajectory: Trajectory) -> Outcome:
 
 def _outcome(start: Trajectory, time: Floats, positions: Iterator[Floats]) -> Outcome:
     scene, mass, spacing = start.scene, start.mass.astype(np.float64), start.spacing
-    along_x = is_column(scene) and not scene.obstacles
     fronts, tops = [], []
     before = position = start.position[0].astype(np.float64)
     for frame in positions:
         before, position = position, frame
-        place = position[:, 0] - scene.lower[0] if along_x else distance_from_bodies(position, scene)
-        fronts.append(percentile_front(place[None], mass, (99,), spacing)[0, 0])
+        fronts.append(percentile_front(release_distance(position, scene)[None], mass, (99,), spacing)[0, 0])
         tops.append(position[:, -1].max() + spacing / 2 - scene.lower[-1])
     front, top, end = np.array(fronts), np.array(tops), float(time[-1])
     advance, arrest = front - front[0], arrest_time(time, front)
@@ -155,7 +152,7 @@ def _outcome(start: Trajectory, time: Floats, positions: Iterator[Floats]) -> Ou
     return Outcome(
         runout=float(advance[-1]),
         measured_from="advance of the front along x, behind which 99 % of the mass lies"
-        if along_x
+        if is_column(scene)
         else "horizontal distance from where the bodies were released, within which 99 % of the mass lies",
         largest_height=float(top[highest]),
         largest_height_at=float(time[highest]),
@@ -170,19 +167,3 @@ def _outcome(start: Trajectory, time: Floats, positions: Iterator[Floats]) -> Ou
         end=end,
         ended=f"failed at {failed:.3g} s ({failure})" if isinstance(failed, float) else "",
     )
-
-
-def distance_from_bodies(position: Floats, scene: Scene) -> Floats:
-    """Return the horizontal distance of particles from the nearest body's ground plan, negative inside [N] [m].
-
-    Args:
-        position: [N, D] [m].
-        scene: its bodies, where they were released.
-    """
-    distances = []
-    for body in scene.bodies:
-        low, high = np.array(body.position[:-1]), np.array(body.upper[:-1])
-        beyond = np.maximum(low - position[:, :-1], position[:, :-1] - high)
-        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
-        distances.append(np.where(outside > 0, outside, beyond.max(axis=1)))
-    return np.asarray(np.min(distances, axis=0))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
 from gns_pl.errors import InputError
@@ -32,7 +31,7 @@ def build_scenes(
 
     Args:
         columns: name → {length, height} of a column [m].
-        files: scene files, which are run in the columns' place under their own names; None for the columns.
+        files: scene files, or names of scenes of the package, which are run in the columns' place under their own names; None for the columns.
         only: names to keep; None keeps all.
         domain: edge lengths of the columns' box, x, y and z [m]; y is left out for data in two dimensions.
         duration: simulated time of the columns, in characteristic times τc.
@@ -48,7 +47,7 @@ def build_scenes(
     scenes: dict[str, Scene] = {}
     if files is not None:
         for file in [files] if isinstance(files, str) else files:
-            scene = read_scene(Path(file))
+            scene = read_scene(file)
             characteristic_time(scene)  # refuses a scene without gravity before it is simulated
             if scene.name in scenes:
                 raise InputError(f"evaluation.scenes: two scenes are called {scene.name!r}; rename one in its file.")

@@ -90,7 +90,8 @@ def log_chart(
         table = wandb.Table(columns=names, data=[[_finite(getattr(each, name)) for name in names] for each in points])
         run.log({"chart": wandb.Image(str(figure), caption=caption), "points": table})
         for each in points:
-            run.summary.update({f"{each.name}/{key}": _finite(getattr(each, key)) for key in ("seconds", "error")})
+            keys = ("seconds", "front_error", "map_error")
+            run.summary.update({f"{each.name}/{key}": _finite(getattr(each, key)) for key in keys})
         return Path(run.dir).parent
 
 

@@ -24,6 +24,9 @@ Floats = NDArray[np.float64]
 ARREST_TOLERANCE = 0.02
 """A front is at rest once less than this share of its whole advance is left."""
 
+ARREST_SHARE = 1e-3
+"""TODO"""
+
 
 def particle_spacing(trajectory: Trajectory) -> float:
     """Return s = (V / N)^(1/D) [m], with V the volume that the N particles stand for: of all bodies they fill."""
@@ -115,6 +118,28 @@ def arrest_time(time: Floats, front: Floats) -> float:
         return math.nan
     away = np.flatnonzero(np.abs(front - front[-1]) > ARREST_TOLERANCE * advance)
     return float(time[away[-1] + 1])
+
+
+def energy_arrest_time(time: Floats, kinetic_energy: Floats, share: float = ARREST_SHARE) -> float:
+    """Return the time after which the kinetic energy stays below a share of its peak: when the flow is over.
+
+    Between two frames the energy is taken to change linearly. A flow that is never below is at the end of its run, one
+    that never moves at 0.
+
+    Args:
+        time: [T] [s].
+        kinetic_energy: [T] [J].
+        share: of the peak.
+    """
+    least = share * float(np.max(kinetic_energy))
+    moving = np.flatnonzero(kinetic_energy >= least) if least > 0 else np.array([], dtype=np.int64)
+    if not len(moving):
+        return float(time[0])
+    last = int(moving[-1])
+    if last == len(time) - 1:
+        return float(time[-1])
+    above, below = float(kinetic_energy[last]), float(kinetic_energy[last + 1])
+    return float(time[last] + (above - least) / (above - below) * (time[last + 1] - time[last]))
 
 
 def deposit_profile(position: Floats, mass: Floats, scene: Scene, bin_width: float) -> tuple[Floats, Floats]:

@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from gns_pl.errors import InputError
+from gns_pl.presets import FOLDER, scene_names
 from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall
 from gns_pl.scene.changes import changed
 from gns_pl.scene.definition import Body, Material, Scene
@@ -73,17 +74,23 @@ def _obstacle(owner: str, data: Any) -> Obstacle:
     return obstacle
 
 
+def scene_path(name: str | Path) -> Path:
+    """Return the file of a scene: one that is there, or that of a scene of the package, as "corner"; else as named."""
+    shipped = FOLDER / "scenes" / f"{name}.yaml"
+    return shipped if not Path(name).exists() and str(name) in scene_names() else Path(name)
+
+
 def read_scene(path: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
     """Read a scene from a `.yaml`, `.yml` or `.json` file; one on a map is moved near zero (`Scene.origin`).
 
     Args:
-        path: the file.
+        path: the file, or the name of a scene that comes with the package (conf/scenes).
         changes: dotted key → value that takes the place of the file's (`scene.changes`).
 
     Raises:
         InputError: no such file, not YAML or JSON, or not a scene; the file is named, and the line if it is known.
     """
-    path = Path(path)
+    path = scene_path(path)
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is YAML
     except OSError as error:

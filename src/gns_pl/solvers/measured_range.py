@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from gns_pl.errors import InputError
-from gns_pl.scene import Scene
+from gns_pl.scene import Plane, Scene
 from gns_pl.scene.extent import characteristic_time, initial_extent
 from gns_pl.solvers.reduction import not_plane_reason, to_plane
 
@@ -19,6 +19,7 @@ SPANS: Mapping[str, tuple[str, str, float, float]] = {
     "aspect_ratio": ("aspect ratio", "", 1.03, 1.03),
     "size": ("√(L0 H0)", " m", 1.1, 1.1),
     "width": ("width", " √(L0 H0)", 1.25, 1.25),
+    "depth": ("depth of the body", " √(L0 H0)", 1.1, 1.1),
     "room": ("free length in front", " (0.5 + 1.3 a) L0", 1.1, math.inf),
     "duration": ("duration", " √(H0/g)", 1.5, math.inf),
 }
@@ -32,7 +33,8 @@ The front rests from 3.5 √(H0/g) on, and 6 are measured, so 4 do as well."""
 def setup_of(scene: Scene) -> dict[str, str | float]:
     """Return what decides the error of a solver's runout: texts that must agree, and numbers that span a range.
 
-    A scene in plane strain is described by its slice. The upper x wall is left out, as far as it is (`room`).
+    A scene in plane strain is described by its slice. The upper x wall is left out, as far as it is (`room`). Several
+    bodies, and obstacles, are described by where they are (`_layout`): such a scene is like one of just these places.
     """
     for axis in (1, 0):
         if scene.dim == 3 and not_plane_reason(scene, axis) is None:
@@ -51,6 +53,10 @@ def setup_of(scene: Scene) -> dict[str, str | float]:
     setup |= {"aspect_ratio": height / length, "size": size, "room": room}
     if scene.dim == 3:
         setup["width"] = (scene.upper[1] - scene.lower[1]) / size
+        if "narrower" in str(setup["bodies"]):
+            setup["depth"] = scene.bodies[0].size[1] / size
+    if len(scene.bodies) > 1 or scene.obstacles:
+        setup["layout"] = _layout(scene, size)
     try:
         setup["duration"] = scene.duration / characteristic_time(scene)
     except InputError:  # no gravity, which the text says
@@ -66,8 +72,21 @@ def setup_text(scene: Scene) -> str:
     return json.dumps(rounded, ensure_ascii=False)
 
 
+def same_kind(scene: Scene, setup: str) -> bool:
+    """Return whether a measured setup agrees with a scene's in all but the numbers of `SPANS`.
+
+    Args:
+        scene: to be simulated.
+        setup: of a record, as `setup_text`.
+    """
+    own, known = setup_of(scene), json.loads(setup) if setup else {}
+    return all(key in SPANS or own.get(key) == known.get(key) for key in {*own, *known})
+
+
 def unmeasured_reasons(scene: Scene, measured: Iterable[str]) -> list[str]:
     """Return what of a scene differs from all measured ones, in words; nothing where measured errors hold.
+
+    Numbers are compared with those of measured scenes of the same kind alone (`same_kind`), if there are such.
 
     Args:
         scene: to be simulated.
@@ -76,15 +95,18 @@ def unmeasured_reasons(scene: Scene, measured: Iterable[str]) -> list[str]:
     texts = set(measured)
     if "" in texts:
         return ["the table of records does not say on which scenes it was measured (write it again: benchmark.py)"]
-    own, known = setup_of(scene), [json.loads(text) for text in texts]
+    alike = {text for text in texts if same_kind(scene, text)}
+    own, known = setup_of(scene), [json.loads(text) for text in alike or texts]
     reasons = []
     for key, value in own.items():
         values = [each.get(key) for each in known]
         if key in SPANS:
             reasons += _beyond_span(key, float(value), [float(each) for each in values if each is not None])
-        elif value not in values:
+        elif value not in values and key != "layout":
             seen = " or ".join(dict.fromkeys(str(each) for each in values if each is not None))
             reasons.append(f"measured with {_named(key, seen)}, here {value}")
+    if not alike and not reasons:
+        reasons.append("measured with other places of bodies and obstacles, or not with all of this together")
     return reasons
 
 
@@ -112,13 +134,44 @@ def _bodies(scene: Scene) -> str:
     )
     at_wall = abs(body.position[0] - scene.lower[0]) < near
     on_floor = abs(body.position[-1] - scene.lower[-1]) < near
+    in_corner = any(
+        abs(one[axis] - other[axis]) < near
+        for axis in range(1, scene.dim - 1)
+        for one, other in ((body.position, scene.lower), (body.upper, scene.upper))
+    )
+    narrower = "narrower than the box and at a side wall" if in_corner else "narrower than the box"
     places = [
         "at the x- wall" if at_wall else "away from the x- wall",
         *([] if on_floor else ["above the floor"]),
-        *([] if spans else ["narrower than the box"]),
+        *([] if spans else [narrower]),
         "in motion" if any(body.velocity) else "at rest",
     ]
     return f"one body {', '.join(places)}"
+
+
+def _layout(scene: Scene, size: float) -> str:
+    """Return corners of bodies and obstacles over a length, to a twentieth of it: what is nearly the same reads alike.
+
+    Args:
+        scene: bodies and obstacles; planes by their normal and distance from the lower corner of the box.
+        size: the length [m].
+    """
+
+    def rounded(values: Iterable[float]) -> str:
+        return ",".join(f"{round(20 * value) / 20 + 0.0:g}" for value in values)
+
+    def over(corner: tuple[float, ...]) -> str:
+        return rounded((value - low) / size for value, low in zip(corner, scene.lower, strict=True))
+
+    parts = [f"body {over(body.position)} to {over(body.upper)}, {rounded(body.velocity)} m/s" for body in scene.bodies]
+    for obstacle in scene.obstacles:
+        if isinstance(obstacle, Plane):
+            distance = sum(n * (p - low) for n, p, low in zip(obstacle.normal, obstacle.point, scene.lower, strict=True))
+            place = f"{rounded(obstacle.normal)} at {rounded([distance / size])}"
+        else:
+            place = f"{over(obstacle.position)} to {over(obstacle.upper)}"
+        parts.append(f"{obstacle.kind} {place}, {obstacle.wall.description}")
+    return "; ".join(parts)
 
 
 def _materials(scene: Scene) -> dict[str, str]:

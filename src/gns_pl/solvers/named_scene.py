@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError
+from gns_pl.presets import scene_names
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
 from gns_pl.scene.changes import changed, changes_label
 from gns_pl.scene.checks import checked_number, checked_numbers
+from gns_pl.scene.plain import scene_path
 from gns_pl.text import did_you_mean
 
 COLUMN = ("length", "aspect_ratio", "duration_tau", "gravity")
@@ -18,10 +20,10 @@ COLUMN = ("length", "aspect_ratio", "duration_tau", "gravity")
 
 
 def named_scene(name: Any, catalogue: Mapping[str, Any], changes: Mapping[str, Any], label: str = "") -> Scene:
-    """Return a scene of the catalogue (conf/simulate.yaml), or of a file, with changes, which its name carries.
+    """Return a scene of the catalogue (conf/simulate.yaml), of the package or of a file, with changes in its name.
 
     Args:
-        name: of the catalogue, or a file.
+        name: of the catalogue, of the package (conf/scenes), or a file.
         catalogue: name → what a column is made from.
         changes: dotted key → value in the place of the scene's own.
         label: what tells a job from the others of its sweep; it goes into the name.
@@ -38,12 +40,14 @@ def named_scene(name: Any, catalogue: Mapping[str, Any], changes: Mapping[str, A
             meant, there = did_you_mean(unknown[0], catalogue[name]), ", ".join(catalogue[name])
             raise InputError(f"scene.{unknown[0]}: {name} has no such key{meant}; there are {there}.")
         scene = _column(parts, str(parts.get("name", name)))
-    elif Path(name).exists():
-        scene = read_scene(Path(name), changes)
+    elif scene_path(name).exists():
+        scene = read_scene(name, changes)
     else:
-        known = [*catalogue, *(str(path) for path in sorted(Path(name).parent.glob("*.y*ml")))]
+        shipped = scene_names()
+        known = [*catalogue, *shipped, *(str(path) for path in sorted(Path(name).parent.glob("*.y*ml")))]
         raise InputError(
-            f"{name}: there is no such scene file{did_you_mean(name, known)}; the catalogue has {', '.join(catalogue)}."
+            f"{name}: there is no such scene file{did_you_mean(name, known)}; the catalogue has "
+            f"{', '.join(catalogue)}, and the package {', '.join(shipped)}."
         )
     return scene.replace(name="_".join(filter(None, (scene.name, changes_label(changes), label))))
 

@@ -17,7 +17,7 @@ from gns_pl.errors import InputError
 from gns_pl.io.tables import read_table
 from gns_pl.machine import available_cores
 from gns_pl.scene import Scene
-from gns_pl.solvers.measured_range import unmeasured_reasons
+from gns_pl.solvers.measured_range import same_kind, unmeasured_reasons
 from gns_pl.solvers.reduction import not_plane_reason
 from gns_pl.solvers.solver import Solver
 from gns_pl.text import command
@@ -39,7 +39,7 @@ class Record:
         solver: its name.
         kind: of the scene, `kind_of`.
         scene: its name.
-        runout_error: of the final 99 % runout, relative to the fine run.
+        runout_error: of the final front, 99 % of the mass, relative to the fine run; of a column that of the runout.
         curve_error: of the 99 % runout over time: its mean absolute difference over the final value.
         height_error: of the final mean height, relative.
         profile_error: area between the final profiles over the deposit's.
@@ -49,6 +49,7 @@ class Record:
         threads: of the machine.
         device: on which it was measured.
         setup: of the scene (`measured_range.setup_text`); empty in tables from before it was written.
+        map_error: share of the final volume in the wrong place; NaN in tables from before it was measured.
     """
 
     solver: str
@@ -64,6 +65,12 @@ class Record:
     threads: int
     device: str
     setup: str = field(default="", kw_only=True)
+    map_error: float = field(default=math.nan, kw_only=True)
+
+    @property
+    def error(self) -> float:
+        """By which the solver is judged: the worse of front and map, of the front alone where no map was measured."""
+        return max(abs(self.runout_error), 0.0 if math.isnan(self.map_error) else self.map_error)
 
 
 @dataclass(frozen=True)
@@ -72,8 +79,8 @@ class Option:
 
     Attributes:
         solver: the solver.
-        error: expected of the runout: the largest measured on scenes like this one, at least `FINE_ERROR`; None if none
-            was measured on such scenes.
+        error: expected, the worse of front and map (`Record.error`): the largest measured on scenes like this one, at
+            least `FINE_ERROR`; None if none was measured on such scenes.
         seconds: expected; None if it was not measured on scenes of this kind.
         reason: why it cannot be trusted with the scene; None if it can.
         unmeasured: how the scene differs from all on which the solver was measured; None where `error` holds.
@@ -117,9 +124,10 @@ def estimate(scene: Scene, solvers: Sequence[Solver], records: Sequence[Record])
         measured = [record for record in records if record.solver == solver.name and record.kind == kind]
         error = seconds = overall = unmeasured = None
         if measured and reason is None:
-            overall = max(FINE_ERROR, *(abs(record.runout_error) for record in measured))
+            overall = max(FINE_ERROR, *(record.error for record in measured))
             unmeasured = "; ".join(unmeasured_reasons(scene, (record.setup for record in measured))[:2]) or None
-            error = overall if unmeasured is None else None
+            if unmeasured is None:
+                error = max(FINE_ERROR, *(record.error for record in measured if same_kind(scene, record.setup)))
             # Errors do not depend on the number of threads. Times are those of as many as there are, or the next fewer.
             numbers = {record.threads for record in measured}
             threads = max((number for number in numbers if number <= available_cores()), default=min(numbers))
@@ -139,14 +147,14 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
 
     Args:
         options: of `estimate`.
-        tolerance: largest error of the final runout, relative.
+        tolerance: largest error, the worse of front and map, relative.
 
     Raises:
         InputError: a tolerance that is not positive or below every solver's error, or no solver that can be trusted
             at all.
     """
     if not tolerance > 0:
-        raise InputError(f"tolerance must be positive, as 0.05 for 5 % of the runout, not {tolerance}.")
+        raise InputError(f"tolerance must be positive, as 0.05 for 5 %, not {tolerance}.")
     trusted = [option for option in options if option.reason is None and option.seconds is not None]
     if not trusted:
         raise InputError(
@@ -181,6 +189,8 @@ def choose(options: Sequence[Option], tolerance: float) -> tuple[Option, str]:
 
 
 def _measured_error(option: Option) -> float:
+    if option.error is not None:
+        return option.error
     return math.inf if option.measured_error is None else option.measured_error
 
 

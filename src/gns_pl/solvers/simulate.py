@@ -236,7 +236,7 @@ def _choose(
     if asked:
         option, why = options[0], f"as asked for; {_worth(options[0])}"
     else:
-        print(f"{table(options, scene)}\nerrors of the final 99 % runout and times as measured on {machine}")
+        print(f"{table(options, scene)}\nerrors, the worse of front and final map where both were measured, and times on {machine}")
         if tolerance is None:
             return None
         option, why = choose(options, tolerance)
@@ -259,4 +259,4 @@ def _worth(option: Option) -> str:
         return f"its error on this scene is unmeasured ({option.reason})"
     if option.error is None:
         return f"its error on this scene is unmeasured ({option.unmeasured})"
-    return f"on scenes like this one its final runout erred by up to {100 * option.error:.1f} %"
+    return f"on scenes like this one it erred by up to {100 * option.error:.1f} %"

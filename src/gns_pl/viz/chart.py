@@ -1,9 +1,9 @@
-"""The chart of speed against accuracy: error over time, throughput of batches, error over what was spent before."""
+"""The chart of speed against accuracy: errors over time, throughput of batches, error over what was spent before."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,13 @@ GROUPS = {
     "mpm": ("MPM", "#0072B2", "o"),
     "learned": ("learned", "#D55E00", "s"),
     "corrected": ("corrected MPM", "#009E73", "D"),
-    "handed": ("handed over", "#CC79A7", "v"),
+    "hybrid": ("hybrid", "#CC79A7", "v"),
+    "retuned": ("MPM retuned", "#004060", "p"),
+    "shallow": ("depth-averaged", "#8B4513", "h"),
     "extrapolated": ("two MPM runs extrapolated", "#56B4E9", "x"),
     "law": ("law of the aspect ratio (microseconds)", "#E69F00", "+"),
     "trivial": ("trivial", "#777777", "^"),
+    "other": ("others", "#000000", "*"),
 }
 """Group → legend, colour (Okabe and Ito's), marker."""
 
@@ -37,10 +40,10 @@ class Mark:
         seconds: wall time of a scene [s].
         low: of the fastest run.
         high: of the slowest.
-        error: relative; settings that failed, with an infinite one, are left out.
+        errors: measure → relative error; a panel leaves out an infinite one, of what failed or gives none.
         label: written beside it; "" for none.
         whole: in three dimensions, drawn hollow.
-        on_front: a point of the front.
+        on_fronts: measures by which it is a point of the Pareto front.
         spent: on data and training before [s]; NaN where unknown or nothing.
         pays: break-even number of scenes in words.
     """
@@ -50,10 +53,10 @@ class Mark:
     seconds: float
     low: float
     high: float
-    error: float
+    errors: Mapping[str, float]
     label: str
     whole: bool
-    on_front: bool
+    on_fronts: Collection[str]
     spent: float
     pays: str
 
@@ -62,17 +65,19 @@ def plot_chart(
     marks: Sequence[Mark],
     rates: Mapping[str, tuple[str, Sequence[tuple[int, float]]]],
     *,
-    band: float,
+    bands: Mapping[str, float],
+    measures: Mapping[str, str],
     title: str,
     caption: str,
     paths: Sequence[Path],
 ) -> None:
-    """Draw the three panels and the text under them.
+    """Draw a panel for each measure, the last one large, two for throughput and costs, and the text under them.
 
     Args:
         marks: settings.
         rates: name → group, and batch and scenes per second of every size.
-        band: uncertainty of the reference, relative, as a grey band.
+        bands: measure → uncertainty of the reference, relative, as a grey band.
+        measures: in words, the one by which all is summed up the last.
         title: over all.
         caption: under all; wrapped.
         paths: files to write; the ending says the format.
@@ -81,51 +86,64 @@ def plot_chart(
     from matplotlib.figure import Figure
 
     lines = textwrap.wrap(caption, 175)
+    *others, last = measures
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(11.0, 5.2 + 0.16 * len(lines)))
-        bottom = (0.62 + 0.16 * len(lines)) / figure.get_figheight()
-        grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1), hspace=0.42, wspace=0.2, left=0.06, right=0.985)
-        grid.update(bottom=bottom + 0.02, top=0.92)
-        main, above, below = (figure.add_subplot(each) for each in (grid[:, 0], grid[0, 1], grid[1, 1]))
-        _draw_front(main, [each for each in marks if np.isfinite(each.error)], band)
-        _draw_rates(above, rates)
-        _draw_costs(below, [each for each in marks if np.isfinite(each.error) and each.spent > 0])
-        figure.suptitle(title, fontsize=9)
+        below = 0.62 + 0.16 * len(lines)
+        figure = Figure(figsize=(11.0, 12.2 + below))
+        grid = figure.add_gridspec(
+            3, 2, height_ratios=(1.35, 1, 0.8), hspace=0.22, wspace=0.16, left=0.07, right=0.985,
+            bottom=(below + 0.2) / figure.get_figheight(), top=1 - 0.95 / figure.get_figheight(),
+        )  # fmt: skip
+        main, rate_axes, cost_axes = (figure.add_subplot(grid[place]) for place in ((0, slice(None)), (2, 0), (2, 1)))
+        _draw_front(main, marks, last, bands[last], measures[last])
+        for number, measure in enumerate(others):
+            _draw_front(figure.add_subplot(grid[1, number]), marks, measure, bands[measure], measures[measure])
+        _draw_rates(rate_axes, rates)
+        _draw_costs(cost_axes, [each for each in marks if each.spent > 0], last)
+        figure.suptitle(title, fontsize=9, y=1 - 0.12 / figure.get_figheight(), va="top")
+        handles, texts = main.get_legend_handles_labels()
+        place = 0.5, 1 - 0.3 / figure.get_figheight()
+        figure.legend(handles, texts, loc="upper center", bbox_to_anchor=place, ncols=5, fontsize=7, frameon=False)
         figure.text(0.06, 0.012, "\n".join(lines), fontsize=7, va="bottom", ha="left")
         for path in paths:
             figure.savefig(path)
 
 
-def _draw_front(axes: Any, marks: Sequence[Mark], band: float) -> None:
+def _draw_front(axes: Any, every: Sequence[Mark], measure: str, band: float, words: str) -> None:
     axes.axhspan(
         LEAST / 2, max(band, LEAST / 2), color="0.92", linewidth=0, zorder=-2, label="the reference's own uncertainty"
     )
+    marks = [each for each in every if np.isfinite(each.errors[measure])]
     named: list[tuple[str, tuple[float, float], str]] = []
     for group, (legend, colour, marker) in GROUPS.items():
-        own = sorted((each for each in marks if each.group == group), key=lambda each: each.seconds)
-        for number, each in enumerate(own):
-            place = max(each.seconds, SOON), max(each.error, LEAST)
+        own = sorted((each for each in every if each.group == group), key=lambda each: each.seconds)
+        if own:  # in every panel, so that the legend of one is that of all
+            face = {} if marker in "x+" else {"markerfacecolor": colour}
+            axes.plot([], [], color=colour, marker=marker, markersize=5, linestyle="none", label=legend, **face)
+        for each in own:
+            if each not in marks:
+                continue
+            place = max(each.seconds, SOON), max(each.errors[measure], LEAST)
             named.append((each.label, place, colour))
             bars = [[max(0.0, each.seconds - each.low)], [max(0.0, each.high - each.seconds)]]
             face = {} if marker in "x+" else {"markerfacecolor": "none" if each.whole else colour}
             axes.errorbar(
-                *place, xerr=bars, color=colour, marker=marker, markersize=5, elinewidth=0.6, linestyle="none",
-                label=legend if number == 0 else None, **face,
-            )  # fmt: skip
-    front = sorted((each for each in marks if each.on_front), key=lambda each: each.seconds)
+                *place, xerr=bars, color=colour, marker=marker, markersize=5, elinewidth=0.6, linestyle="none", **face
+            )
+    front = sorted((each for each in marks if measure in each.on_fronts), key=lambda each: each.seconds)
     if front:
-        places = [(max(each.seconds, SOON), max(each.error, LEAST)) for each in front]
+        places = [(max(each.seconds, SOON), max(each.errors[measure], LEAST)) for each in front]
         axes.step(
             *zip(*places, strict=True), where="post", color="black", linewidth=0.8, label="Pareto front", zorder=0
         )
-    axes.set(xscale="log", yscale="log", xlabel="wall time of a scene [s]")
-    axes.set_ylabel("error of the final 99 % runout, root mean square over scenes and placements")
+    axes.set(xscale="log", yscale="log", xlabel="time of a scene [s]")
+    axes.set_title(f"error: {words}", fontsize=8)
     _percent_axis(axes)
-    axes.set_ylim(bottom=0.8 * max(LEAST, min([band, *(each.error for each in marks)])))
+    axes.set_ylim(bottom=0.8 * max(LEAST, min([band, *(each.errors[measure] for each in marks)])))
     axes.grid(alpha=0.25, linewidth=0.4)
-    axes.set_xlim(right=3 * max(each.seconds for each in marks))
-    axes.legend(loc="center left", bbox_to_anchor=(0.04, 0.4), fontsize=6)
-    _write_names(axes, named)
+    if marks:
+        axes.set_xlim(right=3 * max(each.seconds for each in marks))
+        _write_names(axes, named)
 
 
 def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, float]]]]) -> None:
@@ -149,11 +167,12 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
     axes.grid(alpha=0.25, linewidth=0.4)
 
 
-def _draw_costs(axes: Any, marks: Sequence[Mark]) -> None:
+def _draw_costs(axes: Any, every: Sequence[Mark], measure: str) -> None:
+    marks = [each for each in every if np.isfinite(each.errors[measure])]
     named: list[tuple[str, tuple[float, float], str]] = []
     for each in marks:
         _, colour, marker = GROUPS[each.group]
-        place = each.spent, max(each.error, LEAST)
+        place = each.spent, max(each.errors[measure], LEAST)
         axes.plot(*place, color=colour, marker=marker, markersize=4, linestyle="none")
         named.append((f"{each.name}: {each.pays}", place, colour))
     axes.set(yscale="log", xlabel="spent on data and training [s] (: scenes until it has paid)", ylabel="error")

@@ -8,7 +8,7 @@ from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation import tracking
-from gns_pl.evaluation.chart.plan import Plan
+from gns_pl.evaluation.chart.plan import MEASURES, Plan
 from gns_pl.evaluation.chart.points import Point, points_of, rows_by_name
 from gns_pl.evaluation.chart.rows import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
@@ -16,6 +16,7 @@ from gns_pl.evaluation.chart.words import caption, page, scenes_of, threads_of
 from gns_pl.io.atomic import write_atomically
 from gns_pl.io.tables import write_table
 from gns_pl.viz import Mark, plot_chart
+from gns_pl.viz.chart import GROUPS
 
 PAGE, POINTS, FIGURES = "chart.md", "chart.csv", ("chart.png", "chart.svg")
 
@@ -39,27 +40,41 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     if not rows:
         raise InputError(f"{tables.runs.path}: holds no run of the chart; leave out from_table=true.")
     points = points_of(plan, tables.runs)
-    found = verdicts(points, plan.ratios(tables.ratios))
-    under = caption(found, points, plan.band)
+    ratios = plan.ratios(tables.ratios)
+    found = {measure: verdicts(points, rows, ratios, measure) for measure in MEASURES}
+    said = {measure: caption(of, points, plan.band(measure), measure) for measure, of in found.items()}
+    under = " ".join(f"By {MEASURES[measure]}: {text}" for measure, text in said.items())
     marks = [
         Mark(
-            name=each.name, group=each.group, seconds=each.seconds, low=each.seconds_low, high=each.seconds_high,
-            error=each.error, label=each.name, whole=each.name.endswith("_whole"), on_front=each.on_front,
+            name=each.name, group=drawn_group(each.group), seconds=each.seconds, low=each.seconds_low, high=each.seconds_high,
+            errors={measure: each.error(measure) for measure in MEASURES}, label=label(each, len(plan.scenes)),
+            whole=each.name.endswith("_whole"), on_fronts=each.on_fronts.split(),
             spent=each.data_seconds + each.train_seconds, pays=scenes_of(each),
         )
         for each in points
     ]  # fmt: skip
     rates: dict[str, tuple[str, list[tuple[int, float]]]] = {}
     for row in batches:
-        rates.setdefault(row.name, (row.group, []))[1].append((row.batch, row.scenes_per_second))
+        rates.setdefault(row.name, (drawn_group(row.group), []))[1].append((row.batch, row.scenes_per_second))
     where = "; ".join(f"{place.machine}, {threads_of(place)} a run" for place in plan.places.values())
     title = f"{', '.join(each.name for each in plan.scenes)}: {where}"
     figures = [out / name for name in FIGURES]
     write_atomically(out / PAGE, page(plan, points, found, rows, batches, under).encode())
     write_table(out / POINTS, Point, points)
-    plot_chart(marks, rates, band=plan.band, title=title, caption=under, paths=figures)
+    bands = {measure: plan.band(measure) for measure in MEASURES}
+    plot_chart(marks, rates, bands=bands, measures=MEASURES, title=title, caption=under, paths=figures)
     print(f"\n{under}\n")
     made = [out / PAGE, out / POINTS, *figures]
     if logger is not None:
         made += tracking.log_chart(points, figures[0], under, command=plan.command, out=out, **logger)
     return made
+
+
+def drawn_group(group: str) -> str:
+    """Return the group under which a solver is drawn: its own, or "other" for one that the figure does not know."""
+    return group if group in GROUPS else "other"
+
+
+def label(point: Point, scenes: int) -> str:
+    """Return what is written beside a point: its name, and how many scenes it ran where these are not all."""
+    return point.name if point.scenes == scenes else f"{point.name} ({point.scenes} of {scenes} scenes)"

@@ -13,8 +13,8 @@ from gns_pl.evaluation.chart.batches import can_batch, measure_batches
 from gns_pl.evaluation.chart.converged import converged
 from gns_pl.evaluation.chart.costs import cost_of_entry
 from gns_pl.evaluation.chart.entries import make_entries
-from gns_pl.evaluation.chart.plan import LEARNED, EntryFacts, Plan, write_plan
-from gns_pl.evaluation.chart.points import points_of
+from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, EntryFacts, Plan, told, write_plan
+from gns_pl.evaluation.chart.points import points_of, rows_by_name
 from gns_pl.evaluation.chart.rows import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
 from gns_pl.evaluation.report import run
@@ -55,7 +55,7 @@ def measure(
     """Measure what the tables lack.
 
     Args:
-        scenes: on which all settings are run; all in plane strain, or none.
+        scenes: on which all settings are run, as far as they can; all in plane strain, or none.
         tables: filled, row by row.
         plan_path: where the plan is written, once it is known what there is to measure.
         ckpt: checkpoints besides those of the choice.
@@ -106,34 +106,38 @@ def measure(
                 cache=cache,
                 **reference[kind],
             )
-            say(f"  {fine.runout[-1]:.4f} L0, within {100 * fine.uncertainty:.1f} %, {fine.seconds:.1f} s a run")
+            within = ", ".join(f"{name} {100 * value:.1f} %" for name, value in fine.uncertainty.items())
+            say(f"  front {fine.observed.front[-1]:.4f} m; within {within}; {fine.seconds:.1f} s a run")
             judged.append(fine)
-        fitted, law_seconds = fit_law(law, choice["mpm"], frame_interval, cache)
+        fitted, law_seconds = (), 0.0
+        if all(fine.facts.column for fine in judged):
+            fitted, law_seconds = fit_law(law, choice["mpm"], frame_interval, cache)
         plan = Plan(
             command=f"python {run()['command']}",
             scenes=tuple(each.facts for each in judged),
-            together=speed.judged_together(judged),
             entries=tuple(EntryFacts(e.name, e.group, e.identity(), e.device, e.selectable) for e in entries),
             left_out=left_out,
             places=places,
             placements=placements,
             pairs=pairs,
             order=float(extrapolate["order"]),
-            law=fitted.coefficients,
+            law=fitted,
             law_seconds=law_seconds,
             costs=spent,
         )
         write_plan(plan_path, plan)
-        for name, why in left_out.items():
-            say(f"{name} is not on the chart: {why}")
-        speed.measure_runs(entries, judged, tables.runs, places, placements=placements, say=say)
+        for line in told(left_out, [scene.name for scene in scenes]):
+            say(line)
+        speed.measure_runs(entries, judged, tables.runs, places, placements=placements, left_out=left_out, say=say)
         if ratios["turns"]:
-            named = {entry.name: entry for entry in entries}
-            found = verdicts(points_of(plan, tables.runs), plan.ratios(tables.ratios))
-            wanted_pairs = [(named[each.own.name], named[name]) for each in found for name in each.others()]
-            speed.measure_ratios(wanted_pairs, judged, tables.ratios, places, turns=int(ratios["turns"]), say=say)
+            named, rows, points = {e.name: e for e in entries}, rows_by_name(plan, tables.runs), points_of(plan, tables.runs)
+            found = [each for measure in MEASURES for each in verdicts(points, rows, plan.ratios(tables.ratios), measure)]
+            pairs_of_names = dict.fromkeys((each.own.name, name) for each in found for name in each.others())
+            wanted_pairs = [(named[own], named[other]) for own, other in pairs_of_names]
+            turns = int(ratios["turns"])
+            speed.measure_ratios(wanted_pairs, judged, left_out, tables.ratios, places, turns=turns, say=say)
         if batches["sizes"]:
-            together = [entry for entry in entries if can_batch(entry)]
+            together = [entry for entry in entries if can_batch(entry) and entry.name not in left_out]
             sizes, turns = list(batches["sizes"]), int(batches["turns"])
             measure_batches(together, judged, tables.batches, places, sizes=sizes, turns=turns, say=say)
 
@@ -158,24 +162,25 @@ def learned_device(device: str) -> str:
     return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def runnable(entries: Sequence[Solver], scenes: Sequence[Scene]) -> tuple[list[Solver], dict[str, str]]:
-    """Return the solvers that can run all scenes, and why the others cannot."""
-    kept, left_out = [], {}
+def runnable(entries: Sequence[Solver], scenes: Sequence[Scene]) -> tuple[list[Solver], dict[str, dict[str, str]]]:
+    """Return the solvers that can run a scene at least, and name of a solver → scene that it cannot run → why."""
+    left_out: dict[str, dict[str, str]] = {}
     for entry in entries:
-        reason = next((why for scene in scenes if (why := _reason(entry, scene)) is not None), None)
-        if reason is not None:
-            left_out[entry.name] = reason
-            continue
-        kept.append(entry)
-    return kept, left_out
+        for scene in scenes:
+            reason = _reason(entry, scene)
+            if reason is not None:
+                left_out.setdefault(entry.name, {})[scene.name] = reason
+    return [entry for entry in entries if len(left_out.get(entry.name, {})) < len(scenes)], left_out
 
 
 def _reason(solver: Solver, scene: Scene) -> str | None:
     return solver.unsupported_reason(scene) or solver.out_of_range_reason(scene)
 
 
-def fit_law(law: Mapping[str, Any], mpm: Mapping[str, Any], interval: float, cache: Path) -> tuple[FittedLaw, float]:
-    """Return a law fitted to MPM's columns of other aspect ratios than the test's, and the time of these runs [s].
+def fit_law(
+    law: Mapping[str, Any], mpm: Mapping[str, Any], interval: float, cache: Path
+) -> tuple[tuple[float, ...], float]:
+    """Return the coefficients of a law fitted to MPM's columns of other aspect ratios than the test's, and the time of these runs [s].
 
     Args:
         law: {aspect_ratios, size, cells, domain, data}: H0/L0, √(L0 H0) [m], cells over it, box [m], sand and walls.
@@ -195,4 +200,4 @@ def fit_law(law: Mapping[str, Any], mpm: Mapping[str, Any], interval: float, cac
         made = reference_trajectory(reduced, settings, frame_interval=interval, seed=0, cache_directory=cache)
         found[ratio] = float(compute_curves(made)["runout_99"][-1])
         spent += float(made.provenance["wall_seconds"])  # type: ignore[arg-type]
-    return FittedLaw.to_runs(found), spent
+    return FittedLaw.to_runs(found).coefficients, spent

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,20 @@ from gns_pl.evaluation.chart.rows import BatchRow, Place, RatioRow, RunRow, Tabl
 from gns_pl.io.atomic import write_atomically
 from gns_pl.text import command
 
-FORMAT, FORMAT_VERSION = "gns_pl chart", 1
+FORMAT, FORMAT_VERSION = "gns_pl chart", 2
 
 LEARNED = ("learned", "corrected", "hybrid")
 """Groups that were trained."""
+
+RIVALS = ("mpm", "retuned")
+"""Groups of the material point method, plain or with other scalars, which trained solvers are compared with."""
+
+MEASURES = {
+    "front": "final front, 99 % of the mass",
+    "map": "final deposit from above, the share of its volume in the wrong place",
+    "worse": "the worse of front and map",
+}
+"""What settings are compared by → in words."""
 
 
 @dataclass(frozen=True)
@@ -51,21 +61,24 @@ class SceneFacts:
         name: of the scene.
         judged: hash of scene, frames and reference.
         aspect_ratio: H0 / L0.
-        runout: final, 99 % of the mass, by the reference [L0].
-        uncertainty: of that, relative.
-        seconds: wall time of one run of the reference [s].
+        length: L0 [m].
+        column: whether laws of the aspect ratio are about it.
+        front: final advance of the front, by the reference [m].
+        uncertainty: "front", "map", "height", "arrest" → that of the reference, relative.
+        seconds: time of one run of the reference [s].
         duration: simulated [s].
         interval: time between frames [s].
         words: how the reference was made.
-        setup: what its errors hold for (`solvers.measured_range.setup_text`); empty in plans from before it was
-            written.
+        setup: what its errors hold for (`solvers.measured_range.setup_text`).
     """
 
     name: str
     judged: str
     aspect_ratio: float
-    runout: float
-    uncertainty: float
+    length: float
+    column: bool
+    front: float
+    uncertainty: dict[str, float]
     seconds: float
     duration: float
     interval: float
@@ -91,23 +104,21 @@ class Plan:
     Attributes:
         command: by which it was measured.
         scenes: all.
-        together: hash of all scenes, by which ratios and batches are found.
         entries: settings.
-        left_out: name of a setting that cannot run the scenes → why.
+        left_out: name of a setting → scene that it cannot run → why.
         places: device → where was measured.
         placements: of each setting and scene.
         pairs: of cells that are extrapolated, the coarser first.
         order: to which.
-        law: coefficients of the fitted law.
+        law: coefficients of the fitted law; none where a scene is no column.
         law_seconds: of the runs it was fitted to [s].
         costs: name of a trained setting → what was spent on it.
     """
 
     command: str
     scenes: tuple[SceneFacts, ...]
-    together: str
     entries: tuple[EntryFacts, ...]
-    left_out: dict[str, str]
+    left_out: dict[str, dict[str, str]]
     places: dict[str, Place]
     placements: int
     pairs: tuple[tuple[float, float], ...]
@@ -116,10 +127,21 @@ class Plan:
     law_seconds: float
     costs: dict[str, Cost]
 
-    @property
-    def band(self) -> float:
-        """Uncertainty of the reference, relative: root mean square over the scenes."""
-        return math.sqrt(sum(each.uncertainty**2 for each in self.scenes) / len(self.scenes))
+    def band(self, measure: str) -> float:
+        """Return the uncertainty of the reference by a key of `MEASURES`: root mean square over the scenes."""
+        if measure == "worse":
+            return max(self.band("front"), self.band("map"))
+        return math.sqrt(sum(each.uncertainty[measure] ** 2 for each in self.scenes) / len(self.scenes))
+
+    def runs_scene(self, name: str, scene: str) -> bool:
+        """Return whether a setting can run a scene."""
+        return scene not in self.left_out.get(name, {})
+
+    def together(self, name: str = "") -> str:
+        """Return a hash of all scenes that a setting can run, by which ratios and batches are found; "" runs all."""
+        from gns_pl.solvers.solver import hashed  # with it comes torch, which reading a plan does not need
+
+        return hashed([each.judged for each in self.scenes if self.runs_scene(name, each.name)])
 
     def runs(self, table: Table[RunRow]) -> list[RunRow]:
         """Return the runs of the chart."""
@@ -128,7 +150,7 @@ class Plan:
 
     def batches(self, table: Table[BatchRow]) -> list[BatchRow]:
         """Return the batches of the chart."""
-        return [row for row in self._ours(table) if row.judged == self.together]
+        return [row for row in self._ours(table) if row.judged == self.together()]
 
     def ratios(self, table: Table[RatioRow]) -> list[RatioRow]:
         """Return what was measured in turns of the chart's settings."""
@@ -137,7 +159,7 @@ class Plan:
         return [
             row
             for row in table
-            if row.judged == self.together
+            if row.judged == self.together(row.name)
             and (identity.get(row.name), identity.get(row.other)) == (row.identity, row.other_identity)
             and (row.machine, row.threads) in here
         ]
@@ -148,6 +170,22 @@ class Plan:
             place = self.places[each.device]
             wanted.add((each.name, each.identity, place.machine, place.device, place.threads))
         return [row for row in table if (row.name, row.identity, row.machine, row.device, row.threads) in wanted]
+
+
+def told(left_out: Mapping[str, Mapping[str, str]], scenes: Sequence[str]) -> list[str]:
+    """Return what settings are not run on, a line each: name, scenes unless these are all, and the reason.
+
+    Args:
+        left_out: name of a setting → scene that it cannot run → why.
+        scenes: names of all.
+    """
+    lines = []
+    for name, reasons in left_out.items():
+        for reason in dict.fromkeys(reasons.values()):
+            those = [scene for scene in scenes if reasons.get(scene) == reason]
+            where = "" if len(those) == len(scenes) else f" on {', '.join(those)}"
+            lines.append(f"`{name}` is not run{where}: {reason}")
+    return lines
 
 
 def write_plan(path: Path, plan: Plan) -> None:

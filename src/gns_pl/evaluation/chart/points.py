@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gns_pl.evaluation.chart.front import Spot, break_even, pareto_front, seconds_of_error
-from gns_pl.evaluation.chart.plan import LEARNED, Cost, Plan, SceneFacts
+from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, RIVALS, Plan, SceneFacts
 from gns_pl.evaluation.chart.rows import Place, RunRow, Table
 from gns_pl.metrics.laws import LAWS
 from gns_pl.solvers.trivial import FittedLaw, extrapolate
@@ -27,12 +27,15 @@ class Point:
         seconds: wall time of a scene [s]: median over the placements, mean over the scenes.
         seconds_low: the same of the fastest placement.
         seconds_high: of the slowest.
-        error: root mean square of the final 99 % runout's relative error over scenes and placements.
-        largest_error: of these, signed.
-        bias: their mean.
+        scenes: number of those that it ran.
+        front_error: root mean square of the final front's relative error over scenes and placements.
+        map_error: the same of the share of the final volume in the wrong place; NaN of what gives no flow.
+        largest_error: of the front's errors, signed.
+        bias: mean of the front's errors.
         height_error: root mean square of the final mean height's.
+        arrest_error: root mean square of that of the time after which the flow is over.
         profile_error: mean area between the final profiles over the deposit's.
-        curve_error: mean over time, scenes and placements of the 99 % runout's error, over the final runout.
+        curve_error: mean over time, scenes and placements of the front's error, over the final one.
         runs: that went in.
         failed: how many of them did not reach the end.
         dim: of what was run; 0 where nothing was.
@@ -44,11 +47,12 @@ class Point:
         versions: of packages.
         data_seconds: spent before on data [s]; NaN where nobody knows, 0 where nothing was.
         train_seconds: on training, likewise.
-        equal_seconds: what MPM takes for the same error (`front.seconds_of_error`) [s].
+        equal_seconds: what MPM takes on the same scenes for the same error (`front.seconds_of_error`), by the worse of
+            front and map, or of what gives no flow by the front [s].
         break_even: scenes after which it paid; infinite: never.
         first_seconds: median of the first, untimed runs, what was compiled in them included.
         file_seconds: median time to write the frames to a file.
-        on_front: no setting that gives a flow beats it.
+        on_fronts: the keys of `plan.MEASURES` by which no setting that gives a flow and runs all scenes beats it.
     """
 
     name: str
@@ -56,10 +60,13 @@ class Point:
     seconds: float
     seconds_low: float
     seconds_high: float
-    error: float
+    scenes: int
+    front_error: float
+    map_error: float
     largest_error: float
     bias: float
     height_error: float
+    arrest_error: float
     profile_error: float
     curve_error: float
     runs: int
@@ -77,12 +84,17 @@ class Point:
     break_even: float = math.nan
     first_seconds: float = math.nan
     file_seconds: float = math.nan
-    on_front: bool = False
+    on_fronts: str = ""
 
-    @property
-    def spot(self) -> Spot:
-        """Where it lies."""
-        return Spot(self.name, self.seconds, self.error)
+    def error(self, measure: str) -> float:
+        """Return its error by a key of `plan.MEASURES`; infinite where it failed or gives none."""
+        errors = {"front": self.front_error, "map": self.map_error}
+        errors = {name: math.inf if math.isnan(value) else value for name, value in errors.items()}
+        return max(errors.values()) if measure == "worse" else errors[measure]
+
+    def spot(self, measure: str) -> Spot:
+        """Return where it lies by a key of `plan.MEASURES`."""
+        return Spot(self.name, self.seconds, self.error(measure))
 
     @property
     def gives_flow(self) -> bool:
@@ -97,15 +109,33 @@ def points_of(plan: Plan, table: Table[RunRow]) -> list[Point]:
         plan: of the chart.
         table: of runs.
     """
-    points = [point_of(rows) for rows in rows_by_name(plan, table).values()]
-    published, fitted = LAWS[0], FittedLaw(plan.law)
-    for name, law, spent in (("law_lube", published, 0.0), ("law_fitted", fitted, plan.law_seconds)):
-        began = time.perf_counter()
-        for _ in range(100):
-            law(1.0)
-        seconds = (time.perf_counter() - began) / 100
-        points.append(law_point(name, law, plan.scenes, seconds, spent, next(iter(plan.places.values()))))
-    return compared(points, plan.costs)
+    rows = rows_by_name(plan, table)
+    points = [point_of(of_name) for of_name in rows.values()]
+    if plan.law:
+        published, fitted = LAWS[0], FittedLaw(plan.law)
+        for name, law, spent in (("law_lube", published, 0.0), ("law_fitted", fitted, plan.law_seconds)):
+            began = time.perf_counter()
+            for _ in range(100):
+                law(1.0)
+            seconds = (time.perf_counter() - began) / 100
+            points.append(law_point(name, law, plan.scenes, seconds, spent, next(iter(plan.places.values()))))
+    return compared(points, rows, plan)
+
+
+def rivals(rows: Mapping[str, Sequence[RunRow]], name: str) -> list[Point]:
+    """Return the points of MPM on the scenes that a setting ran, so that both are judged by the same.
+
+    Args:
+        rows: name of every setting → its runs.
+        name: of the setting; one without runs is compared on all scenes.
+    """
+    ran = {row.scene for row in rows.get(name, ())}
+    points = []
+    for of_name in rows.values():
+        same = [row for row in of_name if not ran or row.scene in ran]
+        if of_name[0].group in RIVALS and {row.scene for row in same} >= ran:
+            points.append(point_of(same))
+    return points
 
 
 def rows_by_name(plan: Plan, table: Table[RunRow]) -> dict[str, list[RunRow]]:
@@ -134,7 +164,7 @@ def point_of(rows: Sequence[RunRow]) -> Point:
     of_scene: dict[str, list[float]] = {}
     for row in rows:
         of_scene.setdefault(row.scene, []).append(row.seconds)
-    errors = [row.runout_error for row in rows]
+    errors = [row.front_error for row in rows]
     first = rows[0]
     return Point(
         name=first.name,
@@ -142,10 +172,13 @@ def point_of(rows: Sequence[RunRow]) -> Point:
         seconds=statistics.mean(statistics.median(each) for each in of_scene.values()),
         seconds_low=statistics.mean(min(each) for each in of_scene.values()),
         seconds_high=statistics.mean(max(each) for each in of_scene.values()),
-        error=_root_mean_square(errors),
+        scenes=len(of_scene),
+        front_error=_root_mean_square(errors),
+        map_error=_root_mean_square([row.map_error for row in rows]),
         largest_error=max(errors, key=abs),
         bias=statistics.mean(errors),
         height_error=_root_mean_square([row.height_error for row in rows]),
+        arrest_error=_root_mean_square([row.arrest_error for row in rows]),
         profile_error=statistics.mean(row.profile_error for row in rows),
         curve_error=statistics.mean(row.curve_error for row in rows),
         runs=len(rows),
@@ -177,12 +210,13 @@ def extrapolated(coarse: Sequence[RunRow], fine: Sequence[RunRow], ratio: float,
         other = others.get((row.scene, row.placement))
         if other is None:
             continue
-        runout = extrapolate(other.runout, row.runout, ratio, order)
-        true = row.runout / (1 + row.runout_error)
-        error = runout / true - 1 if math.isfinite(runout) else math.inf
+        front = extrapolate(other.front, row.front, ratio, order)
+        true = row.front / (1 + row.front_error)
+        error = front / true - 1 if math.isfinite(front) else math.inf
         name = f"extrapolated_{other.name.removeprefix('mpm_')}_{row.name.removeprefix('mpm_')}"
-        both = replace(row, name=name, group="extrapolated", runout=runout, runout_error=error)
-        both = replace(both, curve_error=nothing, height_error=nothing, profile_error=nothing, file_seconds=nothing)
+        both = replace(row, name=name, group="extrapolated", front=front, front_error=error, map_error=nothing)
+        both = replace(both, curve_error=nothing, height_error=nothing, arrest_error=nothing, profile_error=nothing)
+        both = replace(both, file_seconds=nothing)
         first_seconds = row.first_seconds + other.first_seconds
         found.append(replace(both, seconds=row.seconds + other.seconds, first_seconds=first_seconds))
     return found
@@ -201,40 +235,44 @@ def law_point(
     Args:
         name: of the law.
         law: aspect ratio → runout [L0].
-        scenes: with their true runouts.
+        scenes: columns, with their true fronts.
         seconds: that one evaluation takes [s].
         data_seconds: of the runs it was fitted to [s]; 0 for a published one.
         place: of the other settings.
     """
-    errors = [law(each.aspect_ratio) / each.runout - 1 for each in scenes]
+    errors = [law(each.aspect_ratio) * each.length / each.front - 1 for each in scenes]
     return Point(
         name=name, group="law", seconds=seconds, seconds_low=seconds, seconds_high=seconds,
-        error=_root_mean_square(errors), largest_error=max(errors, key=abs), bias=statistics.mean(errors),
-        height_error=math.nan, profile_error=math.nan, curve_error=math.nan, runs=len(errors), failed=0, dim=0,
-        particles=0, dtype="float64", device="cpu", machine=place.machine,
+        scenes=len(scenes), front_error=_root_mean_square(errors), map_error=math.nan,
+        largest_error=max(errors, key=abs), bias=statistics.mean(errors), height_error=math.nan, arrest_error=math.nan,
+        profile_error=math.nan, curve_error=math.nan, runs=len(errors), failed=0, dim=0, particles=0, dtype="float64", device="cpu", machine=place.machine,
         threads=place.threads, versions=place.versions, data_seconds=data_seconds,
     )  # fmt: skip
 
 
-def compared(points: Sequence[Point], costs: Mapping[str, Cost]) -> list[Point]:
-    """Return the points with what was spent on them, break-even numbers and the Pareto front, the fastest first.
+def compared(points: Sequence[Point], rows: Mapping[str, Sequence[RunRow]], plan: Plan) -> list[Point]:
+    """Return the points with what was spent on them, break-even numbers and the Pareto fronts, the fastest first.
 
     Args:
         points: of all settings.
-        costs: name → what was spent, of those that were trained.
+        rows: name of every setting → its runs.
+        plan: of the chart.
     """
-    line = [each.spot for each in points if each.group == "mpm"]
-    front = {each.name for each in pareto_front([each.spot for each in points if each.gives_flow])}
+    whole = [each for each in points if each.gives_flow and each.scenes == len(plan.scenes)]
+    fronts = {measure: {spot.name for spot in pareto_front([p.spot(measure) for p in whole])} for measure in MEASURES}
     found = []
     for each in points:
-        if each.group in LEARNED and each.name in costs:
-            cost = costs[each.name]
+        if each.group in LEARNED and each.name in plan.costs:
+            cost = plan.costs[each.name]
             each = replace(each, data_seconds=cost.data_seconds, train_seconds=cost.train_seconds)
-        if each.group in (*LEARNED, "law") and math.isfinite(each.error):
-            equal = seconds_of_error(line, each.error)
+        measure = "worse" if each.gives_flow else "front"
+        if each.group in (*LEARNED, "law") and math.isfinite(each.error(measure)):
+            line = [rival.spot(measure) for rival in rivals(rows, each.name)]
+            equal = seconds_of_error(line, each.error(measure))
             spent = each.data_seconds + each.train_seconds
             each = replace(each, equal_seconds=equal, break_even=break_even(spent, equal, each.seconds))
-        found.append(replace(each, on_front=each.name in front))
+        on_fronts = " ".join(measure for measure, names in fronts.items() if each.name in names)
+        found.append(replace(each, on_fronts=on_fronts))
     return sorted(found, key=lambda each: (each.seconds, each.name))
 
 

@@ -26,10 +26,11 @@ def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) 
             solver=name,
             kind=kind,
             scene=scene,
-            runout_error=max((row.runout_error for row in found), key=abs),
+            runout_error=max((row.front_error for row in found), key=abs),
             curve_error=max(row.curve_error for row in found),
             height_error=max((row.height_error for row in found), key=abs),
             profile_error=max(row.profile_error for row in found),
+            map_error=max(row.map_error for row in found),
             seconds=statistics.median(row.seconds for row in found),
             work=found[0].work,
             particles=found[0].particles,
@@ -42,7 +43,7 @@ def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) 
 
 
 def write_records(path: Path, records: Sequence[Record]) -> int:
-    """Put records into a table, in the place of those of the same solver, kind and number of threads; others stay.
+    """Put records into a table, in the place of those of the same solver, scene and number of threads; others stay.
 
     Args:
         path: the table; made, with its folder, if it is not there.
@@ -54,9 +55,9 @@ def write_records(path: Path, records: Sequence[Record]) -> int:
     Raises:
         InputError: the file there is another table.
     """
-    new = {(each.solver, each.kind, each.threads) for each in records}
+    new = {(each.solver, each.kind, each.scene, each.threads) for each in records}
     there = read_records(path) if path.exists() else []
-    kept = [each for each in there if (each.solver, each.kind, each.threads) not in new]
+    kept = [each for each in there if (each.solver, each.kind, each.scene, each.threads) not in new]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_table(path, Record, [*kept, *records])
     return len(kept) + len(records)

@@ -52,12 +52,15 @@ class RunRow:
         dtype: of its arithmetic.
         particles: of what was run.
         steps: likewise.
-        work: what the time is proportional to (`Solver.work`).
-        runout: final, 99 % of the mass [L0]; NaN if the run failed.
-        runout_error: relative, signed; infinite if it failed, as the next three.
-        curve_error: mean absolute difference of the 99 % runout over time, over its final value.
+        work: what the time is proportional to (`Solver.cost`).
+        front: final advance of the front (`metrics.release.front_advance`) [m]; NaN if the run failed.
+        front_error: of it, relative, signed; of a column that of the 99 % runout. Infinite if the run failed, as the
+            next five.
+        map_error: share of the final volume in the wrong place (`metrics.maps.map_error`).
         height_error: of the final mean height, relative, signed.
-        profile_error: area between the final profiles over the deposit's.
+        arrest_error: of the time after which the flow is over, relative, signed.
+        curve_error: mean absolute difference of the front over time, over its final value.
+        profile_error: area between the final profiles of the surface over the deposit's.
         seconds: wall time of the run, warm.
         first_seconds: of the untimed run before, what is compiled in it included.
         file_seconds: for writing its frames to a file.
@@ -82,10 +85,12 @@ class RunRow:
     particles: int
     steps: int
     work: float
-    runout: float
-    runout_error: float
-    curve_error: float
+    front: float
+    front_error: float
+    map_error: float
     height_error: float
+    arrest_error: float
+    curve_error: float
     profile_error: float
     seconds: float
     first_seconds: float

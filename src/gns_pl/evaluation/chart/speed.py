@@ -22,13 +22,13 @@ from pathlib import Path
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation.chart.converged import Converged, errors_of, hashed
+from gns_pl.evaluation.chart.converged import Converged
 from gns_pl.evaluation.chart.entries import scene_of
 from gns_pl.evaluation.chart.rows import Place, RatioRow, RunRow, Table
 from gns_pl.io import write_trajectory
 from gns_pl.machine import available_cores, machine_name
 from gns_pl.solvers.selection import kind_of
-from gns_pl.solvers.solver import Solver
+from gns_pl.solvers.solver import Solver, hashed
 from gns_pl.trajectory import Trajectory
 
 PACKAGES = ("gns_pl", "torch", "numba", "numpy")
@@ -98,6 +98,7 @@ def measure_runs(
     places: Mapping[str, Place],
     *,
     placements: int,
+    left_out: Mapping[str, Mapping[str, str]],
     say: Callable[[str], None] = print,
 ) -> None:
     """Run every setting on every scene from every placement, in turns, as far as the table does not have it.
@@ -110,6 +111,7 @@ def measure_runs(
         table: filled.
         places: device → where this process measures with it.
         placements: runs of each setting and scene.
+        left_out: name of a setting → scene that it cannot run → why.
         say: told every row.
     """
     missing = {
@@ -117,7 +119,8 @@ def measure_runs(
         for judged in scenes
         for seed in range(placements)
         for entry in entries
-        if not _is_there(table, entry, judged, seed, places[entry.device])
+        if judged.scene.name not in left_out.get(entry.name, {})
+        and not _is_there(table, entry, judged, seed, places[entry.device])
     }
     number = 0
     for judged in scenes:
@@ -133,7 +136,7 @@ def measure_runs(
                 row = _measured(entry, judged, seed, places[entry.device], *first[entry.name])
                 table.add(row)
                 number += 1
-                off = f"runout {100 * row.runout_error:+6.1f} %, {row.seconds:.3f} s"
+                off = f"front {100 * row.front_error:+6.1f} %, map {100 * row.map_error:5.1f} %, {row.seconds:.3f} s"
                 say(f"[{number}/{len(missing)}] {judged.scene.name} {entry.name:28} placement {seed}: {off}")
 
 
@@ -148,7 +151,7 @@ def _measured(
         scene=judged.scene.name, judged=judged.identity, placement=seed, machine=place.machine, device=place.device,
         threads=place.threads, dim=entry.reduced(scene).scene.dim, dtype=entry.dtype, particles=particles,
         steps=steps, work=entry.cost(scene), seconds=seconds, first_seconds=first_seconds,
-        file_seconds=file_seconds, versions=place.versions, session=place.session, **errors_of(made, judged),
+        file_seconds=file_seconds, versions=place.versions, session=place.session, **judged.errors(made),
     )  # fmt: skip
 
 
@@ -172,6 +175,7 @@ def _file_seconds(made: Trajectory | None, folder: Path) -> float:
 def measure_ratios(
     pairs: Sequence[tuple[Solver, Solver]],
     scenes: Sequence[Converged],
+    left_out: Mapping[str, Mapping[str, str]],
     table: Table[RatioRow],
     places: Mapping[str, Place],
     *,
@@ -182,15 +186,17 @@ def measure_ratios(
 
     Args:
         pairs: a learned setting and a solver's.
-        scenes: of a turn.
+        scenes: of a turn, those which the learned setting can run.
+        left_out: as of `measure_runs`.
         table: filled.
         places: as of `measure_runs`.
         turns: timed; one before them warms up.
         say: told every row.
     """
-    judged = judged_together(scenes)
     for own, other in pairs:
         place = places[own.device]
+        ran = [each for each in scenes if each.scene.name not in left_out.get(own.name, {})]
+        judged = judged_together(ran)
         key = {
             "name": own.name, "identity": own.identity(), "other": other.name, "other_identity": other.identity(),
             "judged": judged, "machine": place.machine, "threads": place.threads,
@@ -199,12 +205,12 @@ def measure_ratios(
             continue
         times: list[tuple[float, float]] = []
         for turn in range(turns + 1):
-            times.append(tuple(sum(timed_run(each, scene, turn)[1] for scene in scenes) for each in (own, other)))  # type: ignore[arg-type]
+            times.append(tuple(sum(timed_run(each, scene, turn)[1] for scene in ran) for each in (own, other)))  # type: ignore[arg-type]
         kept = times[1:]
         row = RatioRow(
             **key,  # type: ignore[arg-type]
-            seconds=statistics.median(each[0] for each in kept) / len(scenes),
-            other_seconds=statistics.median(each[1] for each in kept) / len(scenes),
+            seconds=statistics.median(each[0] for each in kept) / len(ran),
+            other_seconds=statistics.median(each[1] for each in kept) / len(ran),
             ratio=statistics.median(each[1] / each[0] for each in kept),
             turns=turns,
         )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from gns_pl.evaluation.chart.front import Spot, best_as_fast, fastest_as_good
 from gns_pl.evaluation.chart.plan import LEARNED
-from gns_pl.evaluation.chart.points import Point
-from gns_pl.evaluation.chart.rows import RatioRow
+from gns_pl.evaluation.chart.points import Point, rivals
+from gns_pl.evaluation.chart.rows import RatioRow, RunRow
 from gns_pl.text import seconds
 
 TIE = 0.05
@@ -21,6 +21,7 @@ class Verdict:
 
     Attributes:
         own: the trained solver.
+        measure: key of `plan.MEASURES` by which errors are meant.
         as_good: the fastest MPM of equal or less error; None if none on the chart is as accurate.
         as_fast: the most accurate MPM of equal or less time; None if none on the chart is as fast.
         good_ratio: time of `as_good` over the own, as far as it is known measured in turns.
@@ -29,6 +30,7 @@ class Verdict:
     """
 
     own: Point
+    measure: str
     as_good: Spot | None
     as_fast: Spot | None
     good_ratio: float | None
@@ -52,7 +54,8 @@ class Verdict:
 
     def sentence(self) -> str:
         """Return it in words."""
-        own = f"`{self.own.name}` errs by {percent(self.own.error)} in {seconds(self.own.seconds)}"
+        error = self.own.error(self.measure)
+        own = f"`{self.own.name}` errs by {percent(error)} in {seconds(self.own.seconds)}"
         if self.own.failed:
             return f"`{self.own.name}` failed in {self.own.failed} of {self.own.runs} runs"
         if self.as_good is None:
@@ -65,33 +68,41 @@ class Verdict:
         elif self.as_good == self.as_fast:
             fast = "and no MPM as fast is more accurate"
         else:
-            factor = self.as_fast.error / self.own.error if self.own.error else float("inf")
+            factor = self.as_fast.error / error if error else float("inf")
             compared = f"{factor:.2g} times as much" if factor >= 1 else f"{1 / factor:.2g} times less"
             off = f"{percent(self.as_fast.error)}, {compared}"
             fast = f"the most accurate MPM as fast, `{self.as_fast.name}`, errs by {off}"
         return f"{own}: {good}; {fast}"
 
 
-def verdicts(points: Sequence[Point], ratios: Iterable[RatioRow] = ()) -> list[Verdict]:
-    """Return a verdict on every trained solver.
+def verdicts(
+    points: Sequence[Point],
+    rows: Mapping[str, Sequence[RunRow]],
+    ratios: Iterable[RatioRow] = (),
+    measure: str = "worse",
+) -> list[Verdict]:
+    """Return a verdict on every trained solver, each against MPM on the scenes that it ran.
 
     Args:
         points: of the chart.
+        rows: name of every setting → its runs.
         ratios: measured in turns; those of earlier settings are not looked at where the chart's points are others.
+        measure: key of `plan.MEASURES`.
     """
-    line = [each.spot for each in points if each.group == "mpm"]
     known = {(row.name, row.other): row.ratio for row in ratios}
     found = []
     for own in points:
         if own.group not in LEARNED:
             continue
-        good, fast = fastest_as_good(line, own.error), best_as_fast(line, own.seconds)
+        line = [each.spot(measure) for each in rivals(rows, own.name)]
+        good, fast = fastest_as_good(line, own.error(measure)), best_as_fast(line, own.seconds)
         pairs = [(own.name, each.name) for each in (good, fast) if each is not None]
         by_good, by_fast = (
             None if each is None else known.get((own.name, each.name), each.seconds / own.seconds)
             for each in (good, fast)
         )
-        found.append(Verdict(own, good, fast, by_good, by_fast, in_turns=all(pair in known for pair in pairs)))
+        in_turns = all(pair in known for pair in pairs)
+        found.append(Verdict(own, measure, good, fast, by_good, by_fast, in_turns))
     return found
 
 
