@@ -187,3 +187,13 @@ def test_trajectories_that_cannot_be_compared() -> None:
         measures.position_mse(standing(), standing(spacing=0.1))
     with pytest.raises(InputError, match="time steps"):
         measures.position_mse(standing(), standing(dt=0.01))
+
+
+def test_a_flow_is_over_when_its_energy_stays_below_a_share_of_the_peak() -> None:
+    time = np.arange(6) * 0.1
+    energy = np.array([0.0, 100.0, 0.05, 1.0, 0.2, 0.0])
+    # It passes 0.5 for the last time between 0.3 and 0.4 s, 5/8 of the way from 1.0 down to 0.2.
+    assert measures.energy_arrest_time(time, energy, 5e-3) == pytest.approx(0.3625)
+    assert measures.energy_arrest_time(time, energy, 0.5) == pytest.approx(0.1 + 0.1 * 50 / 99.95)
+    assert measures.energy_arrest_time(time, np.zeros(6)) == 0
+    assert measures.energy_arrest_time(time, np.ones(6)) == pytest.approx(0.5)

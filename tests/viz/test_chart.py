@@ -24,11 +24,22 @@ def mark(number: int, group: str, **changes: object) -> Mark:
 
 
 def test_every_group_has_its_mark(tmp_path: Path) -> None:
-    marks = [mark(number, group, spent=10.0 * number, on_fronts=["front", "worse"] if number == 0 else []) for number, group in enumerate(GROUPS)]
+    marks = [
+        mark(number, group, spent=10.0 * number, on_fronts=["front", "worse"] if number == 0 else [])
+        for number, group in enumerate(GROUPS)
+    ]
     marks += [mark(9, "learned", error=math.inf), mark(9, "law", seconds=1e-7), mark(9, "mpm", error=0.0, whole=True)]
     rates = {"mpm_0": ("mpm", [(2, 3.0), (1, 2.0)]), "learned_1": ("learned", [(1, 1.0)])}
     paths = [tmp_path / "chart.png", tmp_path / "chart.svg"]
-    plot_chart(marks, rates, bands=dict.fromkeys(MEASURES, 0.015), measures=MEASURES, title="two columns", caption="Who wins. " * 60, paths=paths)
+    plot_chart(
+        marks,
+        rates,
+        bands=dict.fromkeys(MEASURES, 0.015),
+        measures=MEASURES,
+        title="two columns",
+        caption="Who wins. " * 60,
+        paths=paths,
+    )
     assert all(path.stat().st_size > 20_000 for path in paths)
     drawn = paths[1].read_text()
     assert all(f"<!-- {name} -->" in drawn for name in ("mpm_0", "law_9", "two columns")) and "learned_9" not in drawn
@@ -37,5 +48,7 @@ def test_every_group_has_its_mark(tmp_path: Path) -> None:
 @pytest.mark.parametrize("band", [0.0, 0.5])
 def test_a_chart_of_one_setting_without_batches_and_costs(tmp_path: Path, band: float) -> None:
     bands = dict.fromkeys(MEASURES, band)
-    plot_chart([mark(0, "mpm")], {}, bands=bands, measures=MEASURES, title="", caption="", paths=[tmp_path / "chart.png"])
+    plot_chart(
+        [mark(0, "mpm")], {}, bands=bands, measures=MEASURES, title="", caption="", paths=[tmp_path / "chart.png"]
+    )
     assert (tmp_path / "chart.png").exists()

@@ -31,7 +31,8 @@ def build_scenes(
 
     Args:
         columns: name → {length, height} of a column [m].
-        files: scene files, or names of scenes of the package, which are run in the columns' place under their own names; None for the columns.
+        files: scene files, or names of scenes of the package, which are run in the columns' place under their own
+            names; None for the columns.
         only: names to keep; None keeps all.
         domain: edge lengths of the columns' box, x, y and z [m]; y is left out for data in two dimensions.
         duration: simulated time of the columns, in characteristic times τc.

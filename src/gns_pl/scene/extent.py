@@ -20,6 +20,23 @@ def initial_extent(scene: Scene) -> tuple[float, float]:
     return extent[0], extent[1]
 
 
+def touching_bodies(scene: Scene) -> list[tuple[Body, ...]]:
+    """Return the bodies in groups of those that touch each other, over others of the group if need be."""
+    near = 1e-9 * max(high - low for low, high in zip(scene.lower, scene.upper, strict=True))
+
+    def touch(one: Body, other: Body) -> bool:
+        edges = zip(one.position, one.upper, other.position, other.upper, strict=True)
+        return all(low <= other_high + near and other_low <= high + near for low, high, other_low, other_high in edges)
+
+    groups: list[tuple[Body, ...]] = []
+    for body in scene.bodies:
+        joined = [group for group in groups if any(touch(body, other) for other in group)]
+        groups = [group for group in groups if group not in joined] + [
+            (*(member for group in joined for member in group), body)
+        ]
+    return groups
+
+
 def characteristic_time(scene: Scene) -> float:
     """Return τc = √(H0 / g) [s], the time scale of a collapse (Lube et al. 2005; Lajeunesse et al. 2005).
 

@@ -166,7 +166,9 @@ def _layout(scene: Scene, size: float) -> str:
     parts = [f"body {over(body.position)} to {over(body.upper)}, {rounded(body.velocity)} m/s" for body in scene.bodies]
     for obstacle in scene.obstacles:
         if isinstance(obstacle, Plane):
-            distance = sum(n * (p - low) for n, p, low in zip(obstacle.normal, obstacle.point, scene.lower, strict=True))
+            distance = sum(
+                n * (p - low) for n, p, low in zip(obstacle.normal, obstacle.point, scene.lower, strict=True)
+            )
             place = f"{rounded(obstacle.normal)} at {rounded([distance / size])}"
         else:
             place = f"{over(obstacle.position)} to {over(obstacle.upper)}"

@@ -236,7 +236,7 @@ def _choose(
     if asked:
         option, why = options[0], f"as asked for; {_worth(options[0])}"
     else:
-        print(f"{table(options, scene)}\nerrors, the worse of front and final map where both were measured, and times on {machine}")
+        print(f"{table(options, scene)}\nerrors (the worse of front and final map) and times as measured on {machine}")
         if tolerance is None:
             return None
         option, why = choose(options, tolerance)

@@ -18,7 +18,7 @@ from typing import Any
 import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.scene import Scene
-from gns_pl.scene.extent import initial_extent
+from gns_pl.scene.extent import initial_extent, touching_bodies
 from gns_pl.solvers.recording import is_complete, write_whole
 from gns_pl.solvers.reduction import Reduction
 from gns_pl.trajectory import Trajectory
@@ -170,8 +170,8 @@ class Solver(ABC):
 
 
 def characteristic_size(scene: Scene) -> float:
-    """Return √(L0 H0) of all bodies together, their extent along x and z [m]."""
-    return math.sqrt(math.prod(initial_extent(scene)))
+    """Return √(L0 H0), of the extent along x and z of bodies that touch; the largest, where some stand apart [m]."""
+    return max(math.sqrt(math.prod(initial_extent(scene.replace(bodies=group)))) for group in touching_bodies(scene))
 
 
 def hashed(value: Any) -> str:

@@ -11,10 +11,12 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart import measure, speed
 from gns_pl.evaluation.chart.benchmark import chart, finish
-from gns_pl.evaluation.chart.converged import converged, errors_of, uncertainty_of
+from gns_pl.evaluation.chart.converged import converged, uncertainty_of
 from gns_pl.evaluation.chart.entries import make_entries
+from gns_pl.evaluation.chart.observed import ERRORS
 from gns_pl.evaluation.chart.records import records_of, write_records
 from gns_pl.evaluation.chart.rows import Tables
+from gns_pl.io import read_trajectory
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.models.shipped import find_corrector
 from gns_pl.scene import Scene
@@ -122,7 +124,7 @@ def test_a_chart_goes_on_where_it_was_cut_and_feeds_the_choice(
         assert {each.solver for each in records} == {"mpm_3", "mpm_4", "flat"}
     ways = make_solvers({"cells": [3.0, 4.0], "mpm": MPM})
     options = {each.solver.name: each for each in estimate(scene, ways, records)}
-    worst = max(abs(row.runout_error) for row in rows if row.name == "mpm_4")
+    worst = max(max(abs(row.front_error), row.map_error) for row in rows if row.name == "mpm_4")
     assert options["mpm_4"].error == pytest.approx(worst) and options["mpm_4"].seconds is not None
     capsys.readouterr()
     choice = CHOICE | {"frame_interval": 0.02, "records": str(out / "records.csv")}
@@ -179,14 +181,13 @@ def test_nothing_measured_nothing_drawn(tmp_path: Path) -> None:
 
 
 def test_errors_of_the_reference_against_itself_vanish(scene: Scene, tmp_path: Path) -> None:
-    fine = converged(
-        scene, mpm=MPM, cells_per_metre=[20], placements=1, order=1.7, interval=0.02, cache=tmp_path / "cache"
-    )
-    found = errors_of(fine.runs[0], fine)
-    assert all(abs(found[name]) < 1e-12 for name in found if name.endswith("_error"))
-    assert found["runout"] == fine.facts.runout and fine.flat.dim == 2
-    broken = errors_of(None, fine)
-    assert all(broken[name] == float("inf") for name in broken if name.endswith("_error"))
+    cache = tmp_path / "cache"
+    fine = converged(scene, mpm=MPM, cells_per_metre=[20], placements=1, order=1.7, interval=0.02, cache=cache)
+    [run] = cache.glob("*.h5")
+    found = fine.errors(read_trajectory(run))
+    assert all(abs(found[name]) < 1e-5 for name in ERRORS)  # kept with six digits
+    assert found["front"] == pytest.approx(fine.facts.front) and fine.flat.dim == 2
+    assert all(value == float("inf") for name, value in fine.errors(None).items() if name != "front")
 
 
 def test_the_uncertainty_is_the_largest_of_its_estimates() -> None:

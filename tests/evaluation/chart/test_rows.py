@@ -15,12 +15,12 @@ from tests.evaluation.chart.made_up import row
 
 def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
     table = Table(tmp_path / "runs.csv", RunRow)
-    rows = [row("mpm_5", "mpm", -0.1234567890123456, 1 / 3), row("failed", "learned", math.inf, 0.1, runout=math.nan)]
+    rows = [row("mpm_5", "mpm", -0.1234567890123456, 1 / 3), row("failed", "learned", math.inf, 0.1, front=math.nan)]
     table.add(rows[0])
     table.add(rows[1])
     again = list(Table(tmp_path / "runs.csv", RunRow))
     assert again[0] == rows[0]
-    assert again[1].runout_error == math.inf and math.isnan(again[1].runout)
+    assert again[1].front_error == math.inf and math.isnan(again[1].front)
     assert [path.name for path in tmp_path.iterdir()] == ["runs.csv"]
 
 

@@ -48,7 +48,7 @@ class Converged:
         interval: time between frames [s].
         observed: mean over the finest runs, of several placements.
         uncertainty: measure of `OBSERVABLES` → its relative uncertainty (`uncertainty_of`).
-        seconds: wall time of one of the runs, in the mean; of the machine that made it.
+        seconds: processor time of one of the runs, in the mean; of the machine that made it.
         identity: hash of scene, interval and all settings.
         words: how it was made.
     """
@@ -143,8 +143,8 @@ def converged(
         }
         words = f"MPM on {finest}{f' ({reduced.description})' if reduced.description else ''}"
         path = Path(cache) / name
-        facts = {"identity": identity, "uncertainty": uncertainty, "seconds": seconds, "words": words}
-        write_kept(path, Observed.mean(runs[0]), {"scene": scene.to_dict(), "interval": interval, **facts})
+        made = {"identity": identity, "uncertainty": uncertainty, "seconds": seconds, "words": words}
+        write_kept(path, Observed.mean(runs[0]), {"scene": scene.to_dict(), "interval": interval, **made})
     observed, facts = read_kept(path, ("identity", "uncertainty", "seconds", "words"))
     return Converged(scene, flat, reduced.across, interval, observed, **facts)
 
@@ -158,7 +158,7 @@ def _runs(
     interval: float,
     cache: Path,
 ) -> tuple[list[list[Observed]], float]:
-    """Return what every placement on every size of cells did, and the mean wall time on the first of these [s]."""
+    """Return what every placement on every size of cells did, and the mean processor time on the first of these [s]."""
     observed: list[list[Observed]] = []
     seconds: list[float] = []
     for size in sizes:
@@ -168,7 +168,7 @@ def _runs(
                 reduced.scene, {**mpm, "cell_size": size}, frame_interval=interval, seed=seed, cache_directory=cache
             )
             if size == sizes[0]:
-                seconds.append(float(run.provenance.get("wall_seconds", math.nan)))  # type: ignore[arg-type]
+                seconds.append(float(run.provenance.get("cpu_seconds", math.nan)))  # type: ignore[arg-type]
             # A slice is measured as it is: its layers would all say the same.
             whole = run if run.scene.dim < scene.dim else reduced.lift(run)
             observed[-1].append(Observed.of(whole, reduced.scene if whole is run else scene, reduced.across))

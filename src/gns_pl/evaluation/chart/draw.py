@@ -46,9 +46,9 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     under = " ".join(f"By {MEASURES[measure]}: {text}" for measure, text in said.items())
     marks = [
         Mark(
-            name=each.name, group=drawn_group(each.group), seconds=each.seconds, low=each.seconds_low, high=each.seconds_high,
-            errors={measure: each.error(measure) for measure in MEASURES}, label=label(each, len(plan.scenes)),
-            whole=each.name.endswith("_whole"), on_fronts=each.on_fronts.split(),
+            name=each.name, group=drawn_group(each.group), seconds=each.seconds, low=each.seconds_low,
+            high=each.seconds_high, errors={measure: each.error(measure) for measure in MEASURES},
+            label=label(each, len(plan.scenes)), whole=each.name.endswith("_whole"), on_fronts=each.on_fronts.split(),
             spent=each.data_seconds + each.train_seconds, pays=scenes_of(each),
         )
         for each in points

@@ -20,7 +20,12 @@ from gns_pl.solvers.trivial import Ballistic, Still
 
 def scene_of(solver: Solver, judged: Converged) -> Scene:
     """Return what a solver runs: the slice where one does, unless it is one that runs scenes whole."""
-    return judged.scene if isinstance(solver, MPMSolver) and not solver.reduces else judged.flat
+    return judged.scene if runs_whole(solver) else judged.flat
+
+
+def runs_whole(solver: Solver) -> bool:
+    """Return whether a solver runs scenes in plane strain in three dimensions, to be compared with slices."""
+    return isinstance(solver, MPMSolver) and not solver.reduces
 
 
 def make_entries(

@@ -34,7 +34,10 @@ def write_kept(path: Path, observed: Observed, facts: Mapping[str, Any]) -> None
     """
     arrays = {each.name: _rounded(getattr(observed, each.name)) for each in fields(Observed)}
     head = {"format": FORMAT, "format_version": FORMAT_VERSION, "gns_pl": gns_pl.__version__}
-    lines = [f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in (head | dict(facts) | arrays).items()]
+    lines = [
+        f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}"
+        for key, value in (head | dict(facts) | arrays).items()
+    ]
     write_atomically(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
 

@@ -12,8 +12,8 @@ from gns_pl.evaluation.chart import speed
 from gns_pl.evaluation.chart.batches import can_batch, measure_batches
 from gns_pl.evaluation.chart.converged import converged
 from gns_pl.evaluation.chart.costs import cost_of_entry
-from gns_pl.evaluation.chart.entries import make_entries
-from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, EntryFacts, Plan, told, write_plan
+from gns_pl.evaluation.chart.entries import make_entries, runs_whole
+from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, EntryFacts, Plan, write_plan
 from gns_pl.evaluation.chart.points import points_of, rows_by_name
 from gns_pl.evaluation.chart.rows import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
@@ -89,7 +89,7 @@ def measure(
         raise InputError(f"extrapolate.pairs: each is two numbers of cells, the coarser first, not {list(pairs)}.")
     on = learned_device(device)
     solver_on = choose_device("auto") if on == "cuda" else "cpu"
-    entries, left_out = runnable(
+    entries, left_out, beyond = runnable(
         make_entries(ckpt, choice, variants, float(trivial["cells"]), stabilise, on, solver_on), scenes
     )
     spent = {entry.name: cost_of_entry(entry, costs) for entry in entries if entry.group in LEARNED}
@@ -109,7 +109,8 @@ def measure(
             within = ", ".join(f"{name} {100 * value:.1f} %" for name, value in fine.uncertainty.items())
             say(f"  front {fine.observed.front[-1]:.4f} m; within {within}; {fine.seconds:.1f} s a run")
             judged.append(fine)
-        fitted, law_seconds = (), 0.0
+        fitted: tuple[float, ...] = ()
+        law_seconds = 0.0
         if all(fine.facts.column for fine in judged):
             fitted, law_seconds = fit_law(law, choice["mpm"], frame_interval, cache)
         plan = Plan(
@@ -117,6 +118,7 @@ def measure(
             scenes=tuple(each.facts for each in judged),
             entries=tuple(EntryFacts(e.name, e.group, e.identity(), e.device, e.selectable) for e in entries),
             left_out=left_out,
+            beyond=beyond,
             places=places,
             placements=placements,
             pairs=pairs,
@@ -126,12 +128,18 @@ def measure(
             costs=spent,
         )
         write_plan(plan_path, plan)
-        for line in told(left_out, [scene.name for scene in scenes]):
+        for line in plan.told():
             say(line)
         speed.measure_runs(entries, judged, tables.runs, places, placements=placements, left_out=left_out, say=say)
         if ratios["turns"]:
-            named, rows, points = {e.name: e for e in entries}, rows_by_name(plan, tables.runs), points_of(plan, tables.runs)
-            found = [each for measure in MEASURES for each in verdicts(points, rows, plan.ratios(tables.ratios), measure)]
+            named, rows, points = (
+                {e.name: e for e in entries},
+                rows_by_name(plan, tables.runs),
+                points_of(plan, tables.runs),
+            )
+            found = [
+                each for measure in MEASURES for each in verdicts(points, rows, plan.ratios(tables.ratios), measure)
+            ]
             pairs_of_names = dict.fromkeys((each.own.name, name) for each in found for name in each.others())
             wanted_pairs = [(named[own], named[other]) for own, other in pairs_of_names]
             turns = int(ratios["turns"])
@@ -162,25 +170,33 @@ def learned_device(device: str) -> str:
     return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def runnable(entries: Sequence[Solver], scenes: Sequence[Scene]) -> tuple[list[Solver], dict[str, dict[str, str]]]:
-    """Return the solvers that can run a scene at least, and name of a solver → scene that it cannot run → why."""
-    left_out: dict[str, dict[str, str]] = {}
+Reasons = dict[str, dict[str, str]]
+"""Name of a solver → scene → why not."""
+
+
+def runnable(entries: Sequence[Solver], scenes: Sequence[Scene]) -> tuple[list[Solver], Reasons, Reasons]:
+    """Return the solvers that can run a scene at least, what they cannot run, and what is outside of their range.
+
+    What is outside of the range that a solver was made for is run and judged all the same, and said.
+    """
+    left_out: Reasons = {}
+    beyond: Reasons = {}
     for entry in entries:
         for scene in scenes:
-            reason = _reason(entry, scene)
+            reduced = reduce_scene(scene).scene
+            flat = reduced if reduced.dim < scene.dim else scene
+            reason = entry.unsupported_reason(scene if runs_whole(entry) else flat)
             if reason is not None:
                 left_out.setdefault(entry.name, {})[scene.name] = reason
-    return [entry for entry in entries if len(left_out.get(entry.name, {})) < len(scenes)], left_out
-
-
-def _reason(solver: Solver, scene: Scene) -> str | None:
-    return solver.unsupported_reason(scene) or solver.out_of_range_reason(scene)
+            elif (outside := entry.out_of_range_reason(scene)) is not None:
+                beyond.setdefault(entry.name, {})[scene.name] = outside
+    return [entry for entry in entries if len(left_out.get(entry.name, {})) < len(scenes)], left_out, beyond
 
 
 def fit_law(
     law: Mapping[str, Any], mpm: Mapping[str, Any], interval: float, cache: Path
 ) -> tuple[tuple[float, ...], float]:
-    """Return the coefficients of a law fitted to MPM's columns of other aspect ratios than the test's, and the time of these runs [s].
+    """Return a law's coefficients, fitted to MPM's columns of other aspect ratios than the test's, and their time [s].
 
     Args:
         law: {aspect_ratios, size, cells, domain, data}: H0/L0, √(L0 H0) [m], cells over it, box [m], sand and walls.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ class SceneFacts:
         column: whether laws of the aspect ratio are about it.
         front: final advance of the front, by the reference [m].
         uncertainty: "front", "map", "height", "arrest" → that of the reference, relative.
-        seconds: time of one run of the reference [s].
+        seconds: processor time of one run of the reference [s].
         duration: simulated [s].
         interval: time between frames [s].
         words: how the reference was made.
@@ -106,6 +106,7 @@ class Plan:
         scenes: all.
         entries: settings.
         left_out: name of a setting → scene that it cannot run → why.
+        beyond: likewise, what it runs though it was made for other scenes.
         places: device → where was measured.
         placements: of each setting and scene.
         pairs: of cells that are extrapolated, the coarser first.
@@ -119,6 +120,7 @@ class Plan:
     scenes: tuple[SceneFacts, ...]
     entries: tuple[EntryFacts, ...]
     left_out: dict[str, dict[str, str]]
+    beyond: dict[str, dict[str, str]]
     places: dict[str, Place]
     placements: int
     pairs: tuple[tuple[float, float], ...]
@@ -142,6 +144,17 @@ class Plan:
         from gns_pl.solvers.solver import hashed  # with it comes torch, which reading a plan does not need
 
         return hashed([each.judged for each in self.scenes if self.runs_scene(name, each.name)])
+
+    def told(self) -> list[str]:
+        """Return what settings cannot run, and what is outside of their range, a sentence each."""
+        lines = []
+        for what, reasons in (("is not run", self.left_out), ("is run outside of its range", self.beyond)):
+            for name, of_scene in reasons.items():
+                for reason in dict.fromkeys(of_scene.values()):
+                    those = [scene.name for scene in self.scenes if of_scene.get(scene.name) == reason]
+                    where = "" if len(those) == len(self.scenes) else f" on {', '.join(those)}"
+                    lines.append(f"`{name}` {what}{where}: {reason}")
+        return lines
 
     def runs(self, table: Table[RunRow]) -> list[RunRow]:
         """Return the runs of the chart."""
@@ -170,22 +183,6 @@ class Plan:
             place = self.places[each.device]
             wanted.add((each.name, each.identity, place.machine, place.device, place.threads))
         return [row for row in table if (row.name, row.identity, row.machine, row.device, row.threads) in wanted]
-
-
-def told(left_out: Mapping[str, Mapping[str, str]], scenes: Sequence[str]) -> list[str]:
-    """Return what settings are not run on, a line each: name, scenes unless these are all, and the reason.
-
-    Args:
-        left_out: name of a setting → scene that it cannot run → why.
-        scenes: names of all.
-    """
-    lines = []
-    for name, reasons in left_out.items():
-        for reason in dict.fromkeys(reasons.values()):
-            those = [scene for scene in scenes if reasons.get(scene) == reason]
-            where = "" if len(those) == len(scenes) else f" on {', '.join(those)}"
-            lines.append(f"`{name}` is not run{where}: {reason}")
-    return lines
 
 
 def write_plan(path: Path, plan: Plan) -> None:

@@ -242,11 +242,11 @@ def law_point(
     """
     errors = [law(each.aspect_ratio) * each.length / each.front - 1 for each in scenes]
     return Point(
-        name=name, group="law", seconds=seconds, seconds_low=seconds, seconds_high=seconds,
-        scenes=len(scenes), front_error=_root_mean_square(errors), map_error=math.nan,
-        largest_error=max(errors, key=abs), bias=statistics.mean(errors), height_error=math.nan, arrest_error=math.nan,
-        profile_error=math.nan, curve_error=math.nan, runs=len(errors), failed=0, dim=0, particles=0, dtype="float64", device="cpu", machine=place.machine,
-        threads=place.threads, versions=place.versions, data_seconds=data_seconds,
+        name=name, group="law", seconds=seconds, seconds_low=seconds, seconds_high=seconds, scenes=len(scenes),
+        front_error=_root_mean_square(errors), map_error=math.nan, largest_error=max(errors, key=abs),
+        bias=statistics.mean(errors), height_error=math.nan, arrest_error=math.nan, profile_error=math.nan,
+        curve_error=math.nan, runs=len(errors), failed=0, dim=0, particles=0, dtype="float64", device="cpu",
+        machine=place.machine, threads=place.threads, versions=place.versions, data_seconds=data_seconds,
     )  # fmt: skip
 
 

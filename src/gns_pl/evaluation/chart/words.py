@@ -6,7 +6,7 @@ import math
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 
-from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, Plan, SceneFacts, told
+from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, Plan, SceneFacts
 from gns_pl.evaluation.chart.points import Point
 from gns_pl.evaluation.chart.rows import BatchRow, Place, RunRow
 from gns_pl.evaluation.chart.verdicts import Verdict, pace_of, percent
@@ -125,7 +125,8 @@ def page(
             [_point_cells(each) for each in points],
         ),
         "",
-        "Bold: on a Pareto front, by front, map or the worse, of what gives a flow and runs all scenes. `mpm_N`: cells of √(L0 H0)/N, two points per direction unless "
+        "Bold: on a Pareto front, by front, map or the worse, of what gives a flow and runs all scenes. `mpm_N`: cells "
+        "of √(L0 H0)/N, two points per direction unless "
         "`_pN`; `_cX`: Courant number X; `_whole`: in three dimensions. `extrapolated_A_B`: the runout of `mpm_A` and "
         "`mpm_B`, extrapolated to a cell of no size.",
         "",
@@ -153,8 +154,8 @@ def page(
             [(*_cost_cells(each), known.get(each.name, "")) for each in spent],
         ),
     ]
-    if plan.left_out:
-        lines += ["", "## What is not run", "", *(f"- {line}." for line in told(plan.left_out, [s.name for s in scenes]))]
+    if plan.told():
+        lines += ["", "## What is not run, or outside of its range", "", *(f"- {line}." for line in plan.told())]
     return "\n".join([*lines, ""])
 
 
@@ -191,7 +192,7 @@ def _scene_line(each: SceneFacts) -> str:
     within = ", ".join(f"{name} {percent(value)}" for name, value in each.uncertainty.items())
     return (
         f"- `{each.name}`, {each.duration:.3g} s: front {front} by {each.words}; uncertain by {within}; "
-        f"{seconds(each.seconds)} a run."
+        f"{seconds(each.seconds)} of processor time a run."
     )
 
 
