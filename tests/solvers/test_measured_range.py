@@ -10,11 +10,11 @@ import pytest
 
 from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
-from gns_pl.scene import Body, Box, Plane, Scene, Wall
+from gns_pl.scene import Body, Box, Plane, Scene, Wall, read_scene
 from gns_pl.solvers.measured_range import setup_of, setup_text, unmeasured_reasons
 from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.reduction import to_plane
-from gns_pl.solvers.selection import RECORDS, choose, estimate, read_records, table
+from gns_pl.solvers.selection import RECORDS, Record, choose, estimate, read_records, table
 from gns_pl.solvers.simulate import check_path, simulate_by_choice
 from tests.solvers.test_selection import MPM, ROUGH, SLIP, column
 
@@ -97,6 +97,48 @@ def test_a_channel_between_rough_walls_is_measured_by_its_width() -> None:
     assert setup_of(scene)["width"] == pytest.approx(0.5 / 0.3)
     wide = scene.replace(upper=(1.5, 1.0, 0.9), bodies=(Body((0, 0, 0), (0.3, 1.0, 0.3), (0, 0, 0)),))
     assert unmeasured_reasons(wide, [setup_text(scene)]) == ["measured with width 1.67 √(L0 H0), here 3.33"]
+
+
+def moved(scene: Scene, *places: tuple[float, ...]) -> Scene:
+    bodies = tuple(replace(body, position=place) for body, place in zip(scene.bodies, places, strict=True))
+    return scene.replace(bodies=bodies)
+
+
+def test_scenes_without_a_law_are_like_those_of_the_same_places() -> None:
+    corner, pair, barrier = (read_scene(name) for name in ("corner", "two_columns", "barrier"))
+    measured = [setup_text(scene) for scene in (measured_column(), corner, pair, barrier)]
+    for scene in (corner, pair, barrier, moved(pair, (0.0, 0.0, 0.0), (0.695, 0.0, 0.0))):
+        assert unmeasured_reasons(scene, measured) == []
+    other_corner = moved(corner, (0.0, 0.95, 0.0))
+    assert unmeasured_reasons(other_corner, measured) == []
+    for scene, reason in (
+        (moved(corner, (0.0, 0.4, 0.0)), "here one body at the x- wall, narrower than the box, at rest"),
+        (moved(pair, (0.0, 0.0, 0.0), (0.5, 0.0, 0.0)), "measured with other places of bodies and obstacles"),
+        (corner.replace(gravity=(2.0, 0.0, -9.6)), "measured with gravity"),
+        (barrier.replace(obstacles=(Box((0.6, 0.0, 0.0), (0.1, 0.3, 0.2), ROUGH),)), "other places of bodies"),
+        (barrier.replace(obstacles=(Plane((0.6, 0.0, 0.0), (-1, 0, 1), ROUGH),)), "other places of bodies"),
+    ):
+        assert reason in "; ".join(unmeasured_reasons(scene, measured))
+
+
+def test_an_error_is_that_of_scenes_of_the_same_kind(tmp_path: Path) -> None:
+    """What MPM errs by on a corner says nothing of a column, and the worse of front and map counts."""
+    corner, other = read_scene("corner"), column(sides=ROUGH)
+    values = [("corner", corner, 0.02, 0.2), ("column", with_time(other), -0.1, 0.05)]
+    records = [
+        Record(
+            "mpm_10.2", "space", name, error, 0, 0, 0, 1.0, 1e6, 100, 1, "here",
+            setup=setup_text(scene), map_error=map_error,
+        )
+        for name, scene, error, map_error in values
+    ]  # fmt: skip
+    ways = [MPMSolver("mpm_10.2", 10.2, MPM)]
+    for scene, error in ((corner, 0.2), (with_time(other), 0.1)):
+        [option] = estimate(scene, ways, records)
+        assert (option.error, option.measured_error) == (error, 0.2)
+        assert choose([option], error)[0] is option
+        with pytest.raises(InputError, match="the smallest tolerance that can be met"):
+            choose([option], 0.9 * error)
 
 
 def test_old_tables_promise_nothing(tmp_path: Path) -> None:

@@ -57,6 +57,8 @@ def setup_of(scene: Scene) -> dict[str, str | float]:
             setup["depth"] = scene.bodies[0].size[1] / size
     if len(scene.bodies) > 1 or scene.obstacles:
         setup["layout"] = _layout(scene, size)
+        setup.pop("room")
+        setup.pop("width", None)
     try:
         setup["duration"] = scene.duration / characteristic_time(scene)
     except InputError:  # no gravity, which the text says
@@ -150,10 +152,10 @@ def _bodies(scene: Scene) -> str:
 
 
 def _layout(scene: Scene, size: float) -> str:
-    """Return corners of bodies and obstacles over a length, to a twentieth of it: what is nearly the same reads alike.
+    """Return the edges of box, bodies and obstacles over a length, to a twentieth of it, so that near ones read alike.
 
     Args:
-        scene: bodies and obstacles; planes by their normal and distance from the lower corner of the box.
+        scene: box, bodies and obstacles; planes by their normal and distance from the lower corner of the box.
         size: the length [m].
     """
 
@@ -163,7 +165,10 @@ def _layout(scene: Scene, size: float) -> str:
     def over(corner: tuple[float, ...]) -> str:
         return rounded((value - low) / size for value, low in zip(corner, scene.lower, strict=True))
 
-    parts = [f"body {over(body.position)} to {over(body.upper)}, {rounded(body.velocity)} m/s" for body in scene.bodies]
+    parts = [f"box {over(scene.upper)}"]
+    parts += [
+        f"body {over(body.position)} to {over(body.upper)}, {rounded(body.velocity)} m/s" for body in scene.bodies
+    ]
     for obstacle in scene.obstacles:
         if isinstance(obstacle, Plane):
             distance = sum(

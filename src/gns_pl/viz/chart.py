@@ -206,13 +206,16 @@ def _write_names(axes: Any, named: Sequence[tuple[str, tuple[float, float], str]
     to_points = 72 / axes.figure.dpi
     spots = [tuple(to_points * axes.transData.transform(place)) for _, place, _ in named]
     taken = [(x - 3, y - 3, x + 3, y + 3) for x, y in spots]
+    low, high = (to_points * axes.transAxes.transform((end, end))[0] for end in (0, 1))
+    sides = ((-1e4, -1e4, low, 1e4), (high, -1e4, 1e4, 1e4))
     for (name, place, colour), (x, y) in zip(named, spots, strict=True):
         width, height, boxes = 0.56 * size * len(name), 1.1 * size, []
         lifts = range(0, 90, 6) if right else (4, -4, 10, -10, 16, -16, 22, -22, 28, -28)
         for lift in lifts:
             for left in (4.0 + lift / 4,) if right else (4.0, -4.0 - width):
                 boxes.append((x + left, y + lift - height / 2, x + left + width, y + lift + height / 2))
-        box = min(boxes, key=lambda each: sum(_overlap(each, other) for other in taken))
+        # What lies outside of the axes' sides counts as covered.
+        box = min(boxes, key=lambda each: sum(_overlap(each, other) for other in (*taken, *sides)))
         taken.append(box)
         offset = box[0] - x, (box[1] + box[3]) / 2 - y
         axes.annotate(

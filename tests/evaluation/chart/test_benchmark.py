@@ -11,15 +11,13 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart import measure, speed
 from gns_pl.evaluation.chart.benchmark import chart, finish
-from gns_pl.evaluation.chart.converged import converged, uncertainty_of
+from gns_pl.evaluation.chart.converged import uncertainty_of
 from gns_pl.evaluation.chart.entries import make_entries
-from gns_pl.evaluation.chart.observed import ERRORS
 from gns_pl.evaluation.chart.records import records_of, write_records
 from gns_pl.evaluation.chart.rows import Tables
-from gns_pl.io import read_trajectory
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.models.shipped import find_corrector
-from gns_pl.scene import Scene
+from gns_pl.scene import Scene, read_scene
 from gns_pl.solvers.catalogue import make_solvers
 from gns_pl.solvers.measured_range import setup_text
 from gns_pl.solvers.selection import choose, estimate, read_records
@@ -175,19 +173,32 @@ def test_scenes_of_two_kinds_are_refused(scene: Scene, tmp_path: Path) -> None:
         chart([scene, rough], **settings(tmp_path))
 
 
+def test_scenes_without_a_law_are_charted_as_far_as_a_solver_can_run_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A network that knows no obstacles is compared with MPM where there are none, and the page says so."""
+    path = tmp_path / "space.ckpt"
+    save_checkpoint(path, Checkpoint(make_simulator(dim=3, spacing=0.1, dt=0.02, connectivity_radius=0.15), DATA, {}))
+    scenes = [read_scene(name).replace(duration=0.1) for name in ("two_columns", "barrier")]
+    small = settings(tmp_path, ckpt=[str(path)], variants={}, placements=1, batches={"sizes": [1], "turns": 1})
+    space = {"cells_per_metre": [12, 10], "placements": 1}
+    chart(scenes, **small | {"reference": {"space": space, "order": 1.7}})
+    rows = list(Tables(tmp_path / "chart").runs)
+    ran = {name: {row.scene for row in rows if row.name == name} for name in ("space", "mpm_3")}
+    assert ran == {"space": {"two_columns"}, "mpm_3": {"two_columns", "barrier"}}
+    page = (tmp_path / "chart" / "chart.md").read_text()
+    assert "- `space` is not run on barrier: knows no obstacles." in page and "`space` is run outside" in page
+    assert "law_" not in page and "mpm_3" in page
+    assert {row.name for row in Tables(tmp_path / "chart").batches} == {"mpm_3", "mpm_4"}
+    records = read_records(tmp_path / "chart" / "records.csv")
+    assert all(each.map_error >= 0 for each in records)
+    options = estimate(scenes[1], make_solvers({"cells": [3.0, 4.0], "mpm": MPM}), records)
+    assert all(option.error is not None for option in options)
+
+
 def test_nothing_measured_nothing_drawn(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"run python benchmark\.py without from_table=true"):
         finish(tmp_path, records=None, publish=None, logger=None)
-
-
-def test_errors_of_the_reference_against_itself_vanish(scene: Scene, tmp_path: Path) -> None:
-    cache = tmp_path / "cache"
-    fine = converged(scene, mpm=MPM, cells_per_metre=[20], placements=1, order=1.7, interval=0.02, cache=cache)
-    [run] = cache.glob("*.h5")
-    found = fine.errors(read_trajectory(run))
-    assert all(abs(found[name]) < 1e-5 for name in ERRORS)  # kept with six digits
-    assert found["front"] == pytest.approx(fine.facts.front) and fine.flat.dim == 2
-    assert all(value == float("inf") for name, value in fine.errors(None).items() if name != "front")
 
 
 def test_the_uncertainty_is_the_largest_of_its_estimates() -> None:
@@ -209,6 +220,8 @@ def test_records_take_the_place_of_those_of_the_same_way(tmp_path: Path) -> None
     assert write_records(path, new) == len(new) + 2
     assert {(each.solver, each.kind) for each in read_records(path)} >= {("mpm_5", "space"), ("gone", "plane")}
     assert max(abs(each.runout_error) for each in read_records(path) if each.kind == "plane") < 2
+    assert worst.map_error == pytest.approx(0.11) and worst.error == pytest.approx(0.44)
+    assert write_records(path, records_of([row("mpm_5", "mpm", 0.1, 1.0, scene="another")])) == len(new) + 3
     best, why = choose(
         estimate(column(), make_solvers({"cells": [5.0, 10.0, 20.0], "mpm": MPM}), read_records(path)), 0.25
     )

@@ -43,7 +43,7 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     ratios = plan.ratios(tables.ratios)
     found = {measure: verdicts(points, rows, ratios, measure) for measure in MEASURES}
     said = {measure: caption(of, points, plan.band(measure), measure) for measure, of in found.items()}
-    under = " ".join(f"By {MEASURES[measure]}: {text}" for measure, text in said.items())
+    under = f"By {MEASURES['worse']}: {said['worse']}"
     marks = [
         Mark(
             name=each.name, group=drawn_group(each.group), seconds=each.seconds, low=each.seconds_low,
@@ -59,7 +59,7 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     where = "; ".join(f"{place.machine}, {threads_of(place)} a run" for place in plan.places.values())
     title = f"{', '.join(each.name for each in plan.scenes)}: {where}"
     figures = [out / name for name in FIGURES]
-    write_atomically(out / PAGE, page(plan, points, found, rows, batches, under).encode())
+    write_atomically(out / PAGE, page(plan, points, found, rows, batches, said).encode())
     write_table(out / POINTS, Point, points)
     bands = {measure: plan.band(measure) for measure in MEASURES}
     plot_chart(marks, rates, bands=bands, measures=MEASURES, title=title, caption=under, paths=figures)

@@ -68,7 +68,7 @@ def page(
     found: Mapping[str, Sequence[Verdict]],
     rows: Mapping[str, Sequence[RunRow]],
     batches: Sequence[BatchRow],
-    under: str,
+    said: Mapping[str, str],
 ) -> str:
     """Return chart.md.
 
@@ -78,7 +78,7 @@ def page(
         found: key of `MEASURES` → verdict on every trained solver.
         rows: name of every setting → its runs.
         batches: throughput.
-        under: the figure's caption.
+        said: key of `MEASURES` → the `caption` by it; the last one is that of the figure.
     """
     scenes = plan.scenes
     where = "; ".join(
@@ -96,7 +96,7 @@ def page(
         "",
         "![wall time, error, throughput, cost](chart.png)",
         "",
-        under,
+        f"By {MEASURES['worse']}: {said['worse']}",
         "",
         "## What is measured",
         "",
@@ -116,7 +116,7 @@ def page(
         "## Who wins",
         "",
         "A trained solver that cannot run all scenes is compared with MPM on those which it ran.",
-        *_verdict_lines(found),
+        *_verdict_lines(found, said),
         "",
         "## All settings",
         "",
@@ -159,11 +159,11 @@ def page(
     return "\n".join([*lines, ""])
 
 
-def _verdict_lines(found: Mapping[str, Sequence[Verdict]]) -> list[str]:
+def _verdict_lines(found: Mapping[str, Sequence[Verdict]], said: Mapping[str, str]) -> list[str]:
     lines = []
     for measure, of_measure in found.items():
-        lines += ["", f"By {MEASURES[measure]}:", ""]
-        lines += [f"- {each.sentence()}{'' if each.in_turns else ' (not timed in turns)'}." for each in of_measure]
+        sentences = [f"- {each.sentence()}{'' if each.in_turns else ' (not timed in turns)'}." for each in of_measure]
+        lines += ["", f"### By {MEASURES[measure]}", "", said[measure], "", *sentences]
     return lines
 
 
