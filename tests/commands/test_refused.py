@@ -61,7 +61,7 @@ MISSPELT = [
     ("train", ("+experiment=quikstart",), "experiment=quikstart: there is no such option (did you mean quickstart?)"),
     ("train", ("model=papr",), "(did you mean paper?); options are geoelements, paper, small."),
     ("evaluate", ("ckpt=collapse", "evaluation.duraton=3"), "(did you mean evaluation.duration?)"),
-    ("evaluate", ("evaluation=strss",), "(did you mean stress?); options are columns, stress, sweep, validation."),
+    ("evaluate", ("evaluation=strss",), "(did you mean stress?); options are columns, general, stress, sweep, validation."),
     ("evaluate", ("ckpt=colum-fast",), "colum-fast: there is no such checkpoint (did you mean column-fast?); those"),
     ("evaluate", ("ckpt=x", "evaluation.columns.mine=1"), "added by a + before it: +evaluation.columns.mine=…"),
     ("simulate", (*RUN, "acceleration.skim=1"), "(did you mean acceleration.skin?)"),
