@@ -18,7 +18,7 @@ from gns_pl.io.lock import locked
 from gns_pl.io.stream import find_frames
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.rollout import rollout
-from gns_pl.rollout.rest import STEPS
+from gns_pl.rollout.rest import REST_STEPS
 from gns_pl.scene import Scene, write_scene
 from gns_pl.solvers.simulate import simulate, start_of
 from tests.commands.in_process import ROOT, call
@@ -174,7 +174,7 @@ def test_a_scene_at_rest_ends_and_says_so(
     settings = {"out": tmp_path, "device": "cpu", "rest_speed": 1e3}  # every speed is below it
     first, second = simulate(ckpt, [drop, column.replace(duration=0.03)], **settings)
     made, short = read_trajectory(first), read_trajectory(second)
-    assert made.num_frames == STEPS + 1 and made.provenance["at_rest_from"] == pytest.approx(STEPS * 0.01)
+    assert made.num_frames == REST_STEPS + 1 and made.provenance["at_rest_from"] == pytest.approx(REST_STEPS * 0.01)
     assert short.num_frames == 4 and "at_rest_from" not in short.provenance
     assert "6 frames, at rest from 0.05 s" in capsys.readouterr().out
     simulate(ckpt, [drop], **settings)

@@ -19,7 +19,7 @@ from omegaconf import OmegaConf
 from gns_pl.data.survey import survey_dataset
 from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, draw_plan, missing_bytes
-from gns_pl.graph import Draws
+from gns_pl.graph import WindowRandom
 from gns_pl.training.advice import advise
 from gns_pl.training.advice.faults import Suggestion
 from gns_pl.training.advice.numbers import Advice, compute_advice, target_noise
@@ -99,7 +99,9 @@ def test_noise_of_the_target_is_that_of_the_perturbation(restore: float, strain:
     generator = torch.Generator().manual_seed(0)
     history = torch.rand((graphs * particles, length, dim), generator=generator)
     target = torch.zeros(len(history), dim)
-    moved_history, moved_target = perturbation(history, target, static, Draws(0, torch.arange(graphs), static.batch))
+    moved_history, moved_target = perturbation(
+        history, target, static, WindowRandom(0, torch.arange(graphs), static.batch)
+    )
     change = moved_history - history
     second = (moved_target - target) - 2 * change[:, -1] + change[:, -2]
     expected = sum(target_noise(perturbation, length))

@@ -26,7 +26,7 @@ MOST_PARTICLES = 20_000
 
 
 @dataclass(frozen=True)
-class Seen:
+class RecordingSample:
     """Frames of one recording, in the source's units.
 
     Attributes:
@@ -61,28 +61,28 @@ class Sample:
     """
 
     dim: int
-    seen: list[Seen]
+    recordings: list[RecordingSample]
     material: tuple[float, float] | None = None
 
     @property
     def starts(self) -> list[NDArray[np.float64]]:
         """The moved particles of the first frames, each [N, D]."""
-        return [each.start for each in self.seen]
+        return [each.start for each in self.recordings]
 
     @property
     def windows(self) -> list[NDArray[np.float64]]:
         """Four frames in a row of moved particles, each [4, N, D]."""
-        return [window for each in self.seen for window in each.windows]
+        return [window for each in self.recordings for window in each.windows]
 
     @property
     def lower(self) -> NDArray[np.float64]:
         """Least coordinates seen [D]."""
-        return _lowest(self.seen)
+        return _lowest(self.recordings)
 
     @property
     def upper(self) -> NDArray[np.float64]:
         """Greatest coordinates seen [D]."""
-        return _highest(self.seen)
+        return _highest(self.recordings)
 
     @property
     def largest(self) -> float:
@@ -105,23 +105,25 @@ class Sample:
         extent, digit = self.largest, float(np.finfo(np.float32).eps)
         if not all((each == each.astype(np.float32)).all() for each in [*self.starts, *self.windows]):
             places = self.by_box(given).values()
-            extent = min(extent, max(float((_highest(seen) - _lowest(seen)).max()) for seen in places))
+            extent = min(
+                extent, max(float((_highest(recordings) - _lowest(recordings)).max()) for recordings in places)
+            )
         return digit * extent
 
-    def by_box(self, given: Collection[str]) -> dict[tuple[tuple[float, ...] | None, ...], list[Seen]]:
-        """Return box (`Seen.box`) → recordings with it."""
-        boxes: dict[tuple[tuple[float, ...] | None, ...], list[Seen]] = {}
-        for each in self.seen:
+    def by_box(self, given: Collection[str]) -> dict[tuple[tuple[float, ...] | None, ...], list[RecordingSample]]:
+        """Return box (`RecordingSample.box`) → recordings with it."""
+        boxes: dict[tuple[tuple[float, ...] | None, ...], list[RecordingSample]] = {}
+        for each in self.recordings:
             boxes.setdefault(each.box(given), []).append(each)
         return boxes
 
 
-def _lowest(seen: Iterable[Seen]) -> NDArray[np.float64]:
-    return np.asarray(np.min([each.lower for each in seen], axis=0))
+def _lowest(recordings: Iterable[RecordingSample]) -> NDArray[np.float64]:
+    return np.asarray(np.min([each.lower for each in recordings], axis=0))
 
 
-def _highest(seen: Iterable[Seen]) -> NDArray[np.float64]:
-    return np.asarray(np.max([each.upper for each in seen], axis=0))
+def _highest(recordings: Iterable[RecordingSample]) -> NDArray[np.float64]:
+    return np.asarray(np.max([each.upper for each in recordings], axis=0))
 
 
 def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
@@ -135,7 +137,7 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
         InputError: recordings that cannot be read, or of different dimensions.
     """
     chosen = np.unique(np.linspace(0, len(found.names) - 1, SAMPLE).round().astype(int))
-    seen: list[Seen] = []
+    recordings: list[RecordingSample] = []
     dims: set[int] = set()
     values: list[float] = []
     for number in chosen.tolist():
@@ -157,13 +159,15 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
                 highest.append(whole.max(axis=(0, 1)).astype(np.float64))
                 if len(whole) == 4:
                     windows.append(whole[:, some].astype(np.float64))
-            seen.append(Seen(recording.stated, start, windows, np.min(lowest, axis=0), np.max(highest, axis=0)))
+            recordings.append(
+                RecordingSample(recording.stated, start, windows, np.min(lowest, axis=0), np.max(highest, axis=0))
+            )
     if len(dims) > 1:
         raise InputError(f"{found.path}: holds trajectories in two and in three dimensions; convert them apart.")
-    if not seen:
+    if not recordings:
         raise InputError(f"{found.path}: all its particles are kinematic, so nothing moves.")
     material = (min(values), max(values)) if values else None
-    return Sample(dims.pop(), seen, material)
+    return Sample(dims.pop(), recordings, material)
 
 
 def _moved(recording: Recording, types: Mapping[int, int]) -> NDArray[np.bool_]:
@@ -181,14 +185,14 @@ def stated_or_seen_spacing(found: ForeignSet, sample: Sample, asks: list[str]) -
     """
     if "spacing" in found.stated.questions:
         return None  # asked for already
-    stated, seen = found.stated.spacing, seen_spacing(sample)
-    ratio = stated / seen if stated is not None and seen is not None and found.kind != "gns_pl" else 1.0
+    stated, measured = found.stated.spacing, seen_spacing(sample)
+    ratio = stated / measured if stated is not None and measured is not None and found.kind != "gns_pl" else 1.0
     if not 1 / OTHER_SPACING < ratio < OTHER_SPACING:
-        asks.append(f"the stated spacing, {stated:g}, does not fit particles {seen:g} apart: give spacing=…")
+        asks.append(f"the stated spacing, {stated:g}, does not fit particles {measured:g} apart: give spacing=…")
         return None
-    if stated is None and seen is None:
+    if stated is None and measured is None:
         asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
-    return stated or seen
+    return stated or measured
 
 
 def seen_spacing(sample: Sample) -> float | None:

@@ -12,7 +12,7 @@ from gns_pl.graph.context import ContextGrid, context_fields
 
 
 @dataclass(frozen=True)
-class Static:
+class SceneBatch:
     """What does not change while a batch of B scenes with N particles in all is stepped.
 
     Attributes:
@@ -44,11 +44,11 @@ class Static:
         """[N] bool: particles the simulator moves, all but the kinematic ones."""
         return self.particle_type != int(ParticleType.KINEMATIC)
 
-    def to(self, device: torch.device | str) -> Static:
+    def to(self, device: torch.device | str) -> SceneBatch:
         """Return the same on another device."""
-        return Static(**{each.name: getattr(self, each.name).to(device) for each in fields(self) if each.init})
+        return SceneBatch(**{each.name: getattr(self, each.name).to(device) for each in fields(self) if each.init})
 
-    def in_precision(self, dtype: torch.dtype) -> Static:
+    def in_precision(self, dtype: torch.dtype) -> SceneBatch:
         """Return the same with its numbers in another precision; this very object if they are in it."""
         floats = {each.name: getattr(self, each.name) for each in fields(self) if each.init}
         wrong = {name: value for name, value in floats.items() if value.is_floating_point() and value.dtype != dtype}
@@ -74,7 +74,7 @@ class Static:
         return self._grids[cell]
 
 
-def in_precision(history: Tensor, static: Static, dtype: torch.dtype) -> tuple[Tensor, Static]:
+def in_precision(history: Tensor, static: SceneBatch, dtype: torch.dtype) -> tuple[Tensor, SceneBatch]:
     """Return what a step is made from in the precision of the weights that make it."""
     return history.to(dtype), static.in_precision(dtype)
 
@@ -98,7 +98,7 @@ def node_width(
 def node_features(
     velocity: Tensor,
     position: Tensor,
-    static: Static,
+    static: SceneBatch,
     *,
     velocity_scale: Tensor,
     radius: float,

@@ -33,7 +33,7 @@ from gns_pl.io.hdf5 import (
 )
 from gns_pl.trajectory import Trajectory
 
-ROOM = 2**20
+HEADROOM = 2**20
 """Bytes that are left free on the disk, for what HDF5 writes besides frames."""
 
 _SET_ASIDE = f".aside{GROWING}"
@@ -83,7 +83,7 @@ class TrajectoryStream:
         waiting, self._waiting = self._waiting, []
         if waiting:
             # HDF5 does not survive a full disk, so it is not let near one.
-            if free_bytes(self.growing.parent) < sum(frame.nbytes for frame in waiting) + ROOM:
+            if free_bytes(self.growing.parent) < sum(frame.nbytes for frame in waiting) + HEADROOM:
                 raise StorageError(f"{self.growing}: the disk is full; make room and go on from the frames in it.")
             with _told(self.growing):
                 value = self._file[_VALUE]

@@ -25,7 +25,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features, radius_graph
+from gns_pl.graph import SceneBatch, edge_features, radius_graph
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.simulator import Evaluation, Search, Simulator
 from gns_pl.nn import DEFAULT_NETWORK, EncodeProcessDecode, in_float32
@@ -121,7 +121,7 @@ class FrameSimulator(Simulator):
         width = (config.input_sequence_length + 1) * config.dim
         return width + config.type_size + len(config.material_features)
 
-    def features(self, history: Tensor, static: Static, search: Search | None = None) -> tuple[Tensor, Tensor]:
+    def features(self, history: Tensor, static: SceneBatch, search: Search | None = None) -> tuple[Tensor, Tensor]:
         """Return what every particle knows of itself [N, F], and the edges [2, E], also from each to itself.
 
         Args:
@@ -154,7 +154,7 @@ class FrameSimulator(Simulator):
         return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
 
     def normalised_acceleration(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
+        self, history: Tensor, static: SceneBatch, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the network's (ẍ − `acceleration_mean`) / `acceleration_std`, gravity in it [N, D].
 
@@ -169,7 +169,7 @@ class FrameSimulator(Simulator):
         output: Tensor = (network or self.network)(node, edge, edge_index)
         return output
 
-    def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:
+    def target(self, history: Tensor, next_position: Tensor, static: SceneBatch) -> Tensor:
         """Return the normalised acceleration that carries `history` to `next_position` in one step [N, D].
 
         Args:
@@ -180,7 +180,7 @@ class FrameSimulator(Simulator):
         second_difference = next_position - 2 * history[:, -1] + history[:, -2]
         return (second_difference - self.acceleration_mean) / self.acceleration_std
 
-    def integrate(self, history: Tensor, normalised: Tensor, static: Static) -> Tensor:
+    def integrate(self, history: Tensor, normalised: Tensor, static: SceneBatch) -> Tensor:
         """Return the next position [N, D] [m]; one that would cross the whole box in a step becomes NaN.
 
         Args:

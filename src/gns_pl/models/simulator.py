@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
+from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
 from gns_pl.graph.features import in_precision
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.nn import build_network, in_float32
@@ -125,7 +125,7 @@ class Simulator(nn.Module):
         self.acceleration_scale.fill_(acceleration)
         self.material_scale.copy_(material)
 
-    def features(self, history: Tensor, static: Static, search: Search | None = None) -> tuple[Tensor, Tensor]:
+    def features(self, history: Tensor, static: SceneBatch, search: Search | None = None) -> tuple[Tensor, Tensor]:
         """Return what every particle knows of itself [N, F], and the edges [2, E].
 
         Args:
@@ -156,7 +156,7 @@ class Simulator(nn.Module):
         )
         return node, edge_index
 
-    def state(self, history: Tensor, static: Static) -> Tensor:
+    def state(self, history: Tensor, static: SceneBatch) -> Tensor:
         """Return all that a step depends on of every particle and its surroundings, by which states are compared.
 
         Features, `graph.surroundings`, and what gravity adds to a velocity in a step, over `velocity_scale`.
@@ -186,7 +186,7 @@ class Simulator(nn.Module):
         return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
 
     def normalised_acceleration(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
+        self, history: Tensor, static: SceneBatch, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the network's (a − g) / `acceleration_scale` [N, D].
 
@@ -210,7 +210,7 @@ class Simulator(nn.Module):
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
         return torch.where(self._in_contact(position, edge_index, static)[:, None], output, 0.0)
 
-    def _in_contact(self, position: Tensor, edge_index: Tensor, static: Static) -> Tensor:
+    def _in_contact(self, position: Tensor, edge_index: Tensor, static: SceneBatch) -> Tensor:
         """Return which particles have a neighbour or a wall within the connectivity radius [N] bool."""
         contact = self._at_wall(position, static)
         sender, receiver = edge_index
@@ -218,13 +218,13 @@ class Simulator(nn.Module):
         met.index_fill_(0, torch.where(sender == receiver, len(contact), receiver), True)  # a node itself is padding
         return contact | met[:-1]
 
-    def _at_wall(self, position: Tensor, static: Static) -> Tensor:
+    def _at_wall(self, position: Tensor, static: SceneBatch) -> Tensor:
         """Return which particles have a wall within the connectivity radius [N] bool."""
         radius = self.config.connectivity_radius
         lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
         return ((position - lower < radius) | (upper - position < radius)).any(dim=1)
 
-    def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:
+    def target(self, history: Tensor, next_position: Tensor, static: SceneBatch) -> Tensor:
         """Return the normalised a − g that carries `history` to `next_position` in one step [N, D].
 
         Args:
@@ -236,7 +236,7 @@ class Simulator(nn.Module):
         acceleration = second_difference / self.config.dt**2
         return (acceleration - static.of_particles(static.gravity)) / self.acceleration_scale
 
-    def integrate(self, history: Tensor, normalised: Tensor, static: Static) -> Tensor:
+    def integrate(self, history: Tensor, normalised: Tensor, static: SceneBatch) -> Tensor:
         """Return the next position by semi-implicit Euler: v' = v + a Δt, x' = x + v' Δt [N, D] [m].
 
         The walls are rigid, so a particle that would leave the box is put onto its face; one that would cross the
@@ -257,7 +257,7 @@ class Simulator(nn.Module):
         return torch.where(static.moved[:, None], position, history[:, -1])
 
     def forward(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
+        self, history: Tensor, static: SceneBatch, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the positions one step later [N, D] [m], in the weights' precision.
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.machine import machine_name
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.rollout.failure import Watch
@@ -45,11 +45,11 @@ class Run:
     made: int = 0
 
 
-def static_of(*trajectories: Trajectory) -> Static:
+def static_of(*trajectories: Trajectory) -> SceneBatch:
     """Return the time-independent tensors of trajectories, one scene each."""
     scenes = [trajectory.scene for trajectory in trajectories]
     numbers = torch.tensor([trajectory.num_particles for trajectory in trajectories])
-    return Static(
+    return SceneBatch(
         particle_type=torch.cat([torch.from_numpy(each.particle_type) for each in trajectories]),
         material=torch.cat([torch.from_numpy(each.material) for each in trajectories]),
         volume=torch.cat([torch.from_numpy(each.volume()) for each in trajectories]),

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.models.simulator import Simulator
 
 
@@ -22,7 +22,7 @@ def differentiable_rollout(
     simulator: Simulator,
     position: Tensor,
     velocity: Tensor,
-    static: Static,
+    static: SceneBatch,
     num_steps: int,
     *,
     recompute: bool = True,

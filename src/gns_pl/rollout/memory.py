@@ -14,7 +14,7 @@ from gns_pl.nn import network_class
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.rollout.stepper import Stepper
 
-ROOM = 1.2
+HEADROOM = 1.2
 """More edges than at the start: a heap is denser than a body at rest before it falls."""
 
 
@@ -73,7 +73,7 @@ def check_memory(stepper: Stepper, runs: list[Run], share: float = 1.0) -> str:
     blocks = device.type == "cpu" and network_class(config.network).blocked
     nodes = math.prod(static.grid(radius).shape) if config.context else 0
     needed = estimate_bytes(
-        config, len(position), int(ROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share
+        config, len(position), int(HEADROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share
     )
     free = _free_bytes(device)
     said = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"

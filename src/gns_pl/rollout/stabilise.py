@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, radius_graph
+from gns_pl.graph import SceneBatch, radius_graph
 from gns_pl.rollout.rest import SleepingStepper
 from gns_pl.rollout.stepper import Stepper
 
@@ -64,7 +64,7 @@ class StableStepper:
         self._stepper, self.least_distance, self.passive = stepper, least_distance, passive
         self.config, self.device, self.history_length = stepper.config, stepper.device, stepper.history_length
 
-    def __call__(self, history: Tensor, static: Static) -> Tensor:
+    def __call__(self, history: Tensor, static: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         position = self._stepper(history, static)
         if self.least_distance:
@@ -73,7 +73,7 @@ class StableStepper:
             position = self._dissipating(history, position, static)
         return torch.where(static.moved[:, None], position, history[:, -1])
 
-    def _apart(self, position: Tensor, static: Static) -> Tensor:
+    def _apart(self, position: Tensor, static: SceneBatch) -> Tensor:
         """Move particles apart that are too close, each by half of what is missing, some times over."""
         least = self.least_distance * self.config.spacing
         lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
@@ -92,7 +92,7 @@ class StableStepper:
             position = torch.clamp(position + push, lower, upper)
         return position
 
-    def _dissipating(self, history: Tensor, position: Tensor, static: Static) -> Tensor:
+    def _dissipating(self, history: Tensor, position: Tensor, static: SceneBatch) -> Tensor:
         """Scale the velocities of scenes whose energy rose, by the largest s in [0, 1] with E(s) ≤ E_before.
 
         E(s) = Σ m (s² v²/2 − g · (x + s v Δt/2)) is quadratic in s: the energy in the middle of the step, which free
@@ -116,7 +116,7 @@ class StableStepper:
         return torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
 
     @staticmethod
-    def _sum(weight: Tensor, value: Tensor, static: Static) -> Tensor:
+    def _sum(weight: Tensor, value: Tensor, static: SceneBatch) -> Tensor:
         """Return the sum of a quantity over the particles of every scene [B], in double precision."""
         total = torch.zeros(static.num_graphs, dtype=torch.float64, device=value.device)
         return total.index_add_(0, static.batch, (weight * value).double())

@@ -1,6 +1,6 @@
 """How far a run is from what its network saw in training: over time, in one early number, and in words.
 
-It is told by a run's own states (`graph.Seen`) and by its scene (`training_range.beyond`), since neither shows all: no
+It is told by a run's own states (`TrainingDistribution`) and by its scene (`training_range.beyond`), since neither shows all: no
 state shows the floor's friction, and no scene that a heap falls apart.
 """
 
@@ -87,7 +87,7 @@ def told(checkpoint: Checkpoint, path: Path, reduction: Reduction | None = None)
         reduction: from the scene of the file to the one that was run; None if they are the same.
     """
     header = read_header(path)
-    if checkpoint.seen is None or header.num_frames * header.num_particles * header.dim > NUMBERS:
+    if checkpoint.distribution is None or header.num_frames * header.num_particles * header.dim > NUMBERS:
         return None
     run = read_trajectory(path)
     run = run if reduction is None else reduction.flatten(run)
@@ -105,9 +105,9 @@ def familiarity(checkpoint: Checkpoint, run: Trajectory, *, every: int = 1) -> F
 
     Returns:
         None if the checkpoint does not say what its network saw, as those of before this was measured
-        (`training.seen.add_seen`).
+        (`training.distribution.add_distribution`).
     """
-    seen, simulator = checkpoint.seen, checkpoint.simulator
+    seen, simulator = checkpoint.distribution, checkpoint.simulator
     if seen is None:
         return None
     config, device = simulator.config, simulator.velocity_scale.device

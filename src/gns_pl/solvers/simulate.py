@@ -24,7 +24,7 @@ from gns_pl.models.checkpoint import load_checkpoint, move
 from gns_pl.models.geoelements import cold_start
 from gns_pl.models.shipped import corrector_names, existing_checkpoint, find_checkpoint, is_corrector
 from gns_pl.rollout.acceleration import accelerate
-from gns_pl.rollout.distributed import distribute, meet, processes, share_of_memory
+from gns_pl.rollout.distributed import barrier, distribute, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, unroll
 from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.memory import check_memory
@@ -165,7 +165,7 @@ def simulate(
     move(checkpoint, device, "device")
     fast, settings = accelerate(checkpoint.simulator, **(acceleration or {})), dict(stabilise or {})
     with processes(fast.device) as (rank, _), alone(out) if rank == 0 else nullcontext():
-        meet()  # so that nobody looks at files another run is still writing
+        barrier()  # so that nobody looks at files another run is still writing
         stepper = stabilised(distribute(fast), **settings)
         reductions = [plane_of(scene, stepper.config.dim) for scene in scenes]
         starts = [start_of(each.scene, checkpoint, seed, identity) for each in reductions]
@@ -177,7 +177,7 @@ def simulate(
             check_run(job.run, stepper.config)
             check_reach(job.run.start, stepper.config.connectivity_radius)
         left = [job for job in jobs if job.run.num_steps or job.source != job.path]
-        meet()  # all have seen the files as they were
+        barrier()  # all have seen the files as they were
         rest = Rest(rest_speed) if rest_speed else None
         watches = [_watch(job.run, stepper.config.dt) if watch else None for job in left]
         if rank:

@@ -68,7 +68,7 @@ def go_on(output: Path) -> str:
 
 
 @contextmanager
-def alone_in(output: Path) -> Iterator[None]:
+def exclusive(output: Path) -> Iterator[None]:
     """Claim the folder of a run for this process, and clear away what killed ones left half-written.
 
     Raises:

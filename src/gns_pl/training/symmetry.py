@@ -7,10 +7,10 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from gns_pl.graph import Draws, Static
+from gns_pl.graph import SceneBatch, WindowRandom
 
 
-def sample_symmetry(position: Tensor, static: Static, draws: Draws) -> tuple[Tensor, Static]:
+def sample_symmetry(position: Tensor, static: SceneBatch, random: WindowRandom) -> tuple[Tensor, SceneBatch]:
     """Mirror every scene at the middle planes of its box at random, and exchange x and y at random (D = 3).
 
     Gravity is mirrored and exchanged along, and so is the box; opposite walls are taken to be alike.
@@ -18,21 +18,21 @@ def sample_symmetry(position: Tensor, static: Static, draws: Draws) -> tuple[Ten
     Args:
         position: of several frames [N, T, D] [m].
         static: the scenes.
-        draws: the windows' random numbers.
+        random: the windows' random numbers.
 
     Returns:
         Positions and scenes after the same random symmetry, one per scene.
     """
     graphs, dim = static.lower.shape
-    draw = draws.uniform("symmetry", 3, dtype=position.dtype) < 0.5
+    flipped = random.uniform("symmetry", 3, dtype=position.dtype) < 0.5
     mirrored = torch.zeros((graphs, dim), dtype=torch.bool, device=position.device)
-    mirrored[:, : dim - 1] = draw[:, : dim - 1]
+    mirrored[:, : dim - 1] = flipped[:, : dim - 1]
     both_corners = static.lower + static.upper
     sign = torch.where(mirrored, -1.0, 1.0)
     offset = torch.where(mirrored, both_corners, 0.0)
     order = torch.arange(dim, device=position.device).repeat(graphs, 1)
     if dim == 3:
-        exchanged = draw[:, 2]
+        exchanged = flipped[:, 2]
         order[exchanged, 0], order[exchanged, 1] = 1, 0
 
     reflected = sign[static.batch][:, None] * position + offset[static.batch][:, None]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.models.simulator import Simulator
 
 
@@ -16,7 +16,7 @@ def unrolled_loss(
     history: Tensor,
     goal: Tensor,
     future: Tensor,
-    static: Static,
+    static: SceneBatch,
     *,
     restore: float,
     loss: Callable[[Tensor, Tensor], Tensor],

@@ -46,7 +46,7 @@ def surroundings(position: Tensor, velocity: Tensor, edge_index: Tensor, radius:
 
 
 @dataclass(frozen=True)
-class Seen:
+class TrainingDistribution:
     """A summary of the inputs of many particles in training.
 
     Attributes:
@@ -70,7 +70,7 @@ class Seen:
     source: str = ""
 
     @classmethod
-    def of(cls, features: Tensor, names: Sequence[str], source: str = "") -> Seen:
+    def of(cls, features: Tensor, names: Sequence[str], source: str = "") -> TrainingDistribution:
         """Summarise inputs.
 
         Args:
@@ -111,6 +111,6 @@ class Seen:
         return {**vars(self), "names": list(self.names)}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Seen:
+    def from_dict(cls, data: Mapping[str, Any]) -> TrainingDistribution:
         """Return what `to_dict` gave."""
         return cls(**{**data, "names": tuple(data["names"])})
