@@ -1,6 +1,6 @@
 """How far a run is from what its network saw in training: over time, in one early number, and in words.
 
-It is told by a run's own states (`TrainingDistribution`) and by its scene (`training_range.beyond`), since neither shows all: no
+It is told by a run's own states (`TrainingDistribution`) and by its scene (`beyond`), since neither shows all: no
 state shows the floor's friction, and no scene that a heap falls apart.
 """
 
