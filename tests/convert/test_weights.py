@@ -304,7 +304,7 @@ def test_rollouts_hold_kinematic_particles_and_know_their_limits(tmp_path: Path)
     np.testing.assert_allclose(skinned.position, made.position, atol=1e-6)
     with pytest.raises(InputError, match="edges from a particle to itself"):
         accelerate(simulator, captured=True)
-    assert stabilise(simulator, sleep=0.1, passive=True) is simulator
+    assert stabilise(simulator, sleep=0.1, energy_limiter=True) is simulator
 
 
 def test_data_tell_which_way_is_right(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -73,7 +73,7 @@ def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     process.wait()
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "after" in said or "already complete" in said
-    stable = {"sleep": 0.1, "least_distance": 0.2, "passive": True}  # conf/rollout/stable.yaml
+    stable = {"sleep": 0.1, "min_distance": 0.2, "energy_limiter": True}  # conf/rollout/stable.yaml
     simulate(ckpt, [drop], out=tmp_path / "whole", duration=0.6, device="cpu", watch=False, stabilise=stable)
     whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "out"))
     np.testing.assert_allclose(parts.position, whole.position, atol=1e-6)

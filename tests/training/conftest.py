@@ -73,7 +73,7 @@ def whole_run(data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def make_config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
-    """Compose conf/train.yaml as the door does, for a run in `output`, without W&B."""
+    """Compose conf/train.yaml as the command does, for a run in `output`, without W&B."""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base=None):
         cfg = compose("train", [*TINY, f"data.root={data_root}", *without_wandb(overrides), *overrides])

@@ -71,7 +71,7 @@ class OutsideCounter:
         self.least = np.minimum(self.least, position.min(axis=(0, 1)))
         self.largest = np.maximum(self.largest, position.max(axis=(0, 1)))
 
-    def sentence(self) -> str:
+    def message(self) -> str:
         """Return how many are outside where most are, in words; empty if none is."""
         number, among = self.worst
         if not number:
@@ -85,7 +85,7 @@ class OutsideCounter:
     def check(self) -> None:
         """Raise an `InputError` where more than stragglers are outside."""
         if self.outside > OUTSIDE * self.seen:
-            raise InputError(self.sentence())
+            raise InputError(self.message())
 
 
 def check_inside(
@@ -106,7 +106,7 @@ def check_inside(
     for each in frames:
         inside.count(each)
     inside.check()
-    return inside.sentence()
+    return inside.message()
 
 
 def check_neighbours(mean: float, *, radius: float, spacing: float) -> None:

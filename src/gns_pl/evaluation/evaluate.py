@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError, tolerated
-from gns_pl.evaluation.doors import check_figures, check_space, default_folder, make_folder, named_checkpoints
+from gns_pl.evaluation.checks import check_figures, check_space, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.judge import SceneResult, judge_scene
 from gns_pl.evaluation.scenes import build_scenes, chosen
 from gns_pl.metrics.curves import cut, write_curves

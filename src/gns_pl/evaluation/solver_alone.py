@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation.doors import default_folder, named_checkpoints
+from gns_pl.evaluation.checks import default_folder, named_checkpoints
 from gns_pl.evaluation.outcome import outcome_of
 from gns_pl.evaluation.references import resolution_spread
 from gns_pl.evaluation.run_report import ReportedRun, check_reporting, report_lines, write_report

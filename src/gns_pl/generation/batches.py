@@ -8,7 +8,7 @@ from collections.abc import Generator, Mapping, Sequence
 from functools import partial
 
 from gns_pl.generation.pool import Failure, attempt
-from gns_pl.generation.produce import Job, Product, measure_files, produce, store
+from gns_pl.generation.produce import Job, Result, measure_files, produce, store
 from gns_pl.mpm import settings as solver
 
 BATCH_BYTES = 4_000_000_000
@@ -16,7 +16,7 @@ BATCH_BYTES = 4_000_000_000
 fit, which keeps a GPU busy; what the device itself holds, some hundred bytes for each of their points, is far less."""
 
 
-def run_batches(jobs: Sequence[Job]) -> Generator[tuple[int, Product | Failure], None, None]:
+def run_batches(jobs: Sequence[Job]) -> Generator[tuple[int, Result | Failure], None, None]:
     """Make what is missing of every job in batches and yield (index of the job, result or `Failure`), as `run_jobs`.
 
     If a batch fails, its scenes are run one by one, so that only those that cannot be run are lost.

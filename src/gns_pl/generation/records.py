@@ -138,7 +138,7 @@ def write_failures(folder: Path, failures: Mapping[str, Failure]) -> None:
     if not failures:
         path.unlink(missing_ok=True)
     elif not any(failure.final for failure in failures.values()):
-        text = "\n".join(f"{name}: {failure.sentence}\n{failure.details}" for name, failure in failures.items())
+        text = "\n".join(f"{name}: {failure.message}\n{failure.details}" for name, failure in failures.items())
         write_atomically(path, text.encode())
 
 

@@ -1,6 +1,6 @@
 """One number per question: what a trajectory did (`summarise`), how far off a rollout is (`rollout_errors`).
 
-Pure NumPy, so that training can validate by rollout and the evaluate door judges by the very same numbers.
+Pure NumPy, so that training can validate by rollout and evaluate.py judges by the very same numbers.
 """
 
 from __future__ import annotations

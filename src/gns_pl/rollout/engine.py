@@ -219,7 +219,7 @@ def rollout(
                     on_step(len(frames) - given, num_steps)
     provenance: dict[str, object] = {"solver": "gns_pl.rollout"}
     if watch is not None and watch.failure is not None:
-        provenance |= {"failed_at": watch.failure.time, "failure": watch.failure.sentence}
+        provenance |= {"failed_at": watch.failure.time, "failure": watch.failure.message}
     elif not finite:
         provenance["failed_at"] = len(frames) * stepper.config.dt
     elif len(frames) < num_steps + given:

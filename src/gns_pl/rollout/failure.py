@@ -43,12 +43,12 @@ class Failure:
     Attributes:
         kind: one of `KINDS`.
         time: of the frame [s].
-        sentence: what was seen, and the limit.
+        message: what was seen, and the limit.
     """
 
     kind: str
     time: float
-    sentence: str
+    message: str
 
 
 class Watch:

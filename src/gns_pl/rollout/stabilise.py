@@ -25,8 +25,8 @@ def stabilise(
     stepper: Stepper,
     *,
     sleep: float = 0.0,
-    least_distance: float = 0.0,
-    passive: bool = False,
+    min_distance: float = 0.0,
+    energy_limiter: bool = False,
 ) -> Stepper:
     """Return what makes the same steps, where these stay within what sand can do.
 
@@ -35,20 +35,20 @@ def stabilise(
     Args:
         stepper: stays as it is; `acceleration.accelerate` goes first.
         sleep: particles slower than this for some steps, their neighbours too, stay where they are (`rest`) [m/s].
-        least_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
-        passive: a step that raises the energy of motion and height has its velocities scaled down, all of a scene's by
+        min_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
+        energy_limiter: a step that raises the energy of motion and height has its velocities scaled down, all of a scene's by
             one factor, until it does not.
 
     Raises:
         InputError: a negative limit, or distances that no filling keeps.
     """
-    if not 0 <= least_distance < 1:
-        raise InputError(f"stabilise.least_distance must lie in [0, 1) spacings, not {least_distance}.")
+    if not 0 <= min_distance < 1:
+        raise InputError(f"stabilise.min_distance must lie in [0, 1) spacings, not {min_distance}.")
     if not sleep >= 0:
         raise InputError(f"stabilise.sleep must be a speed of 0 or more, not {sleep}.")
-    if stepper.config.exact_steps or not (sleep or least_distance or passive):
+    if stepper.config.exact_steps or not (sleep or min_distance or energy_limiter):
         return stepper
-    return StableStepper(SleepingStepper(stepper, sleep) if sleep else stepper, least_distance, passive)
+    return StableStepper(SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter)
 
 
 class StableStepper:
@@ -56,26 +56,26 @@ class StableStepper:
 
     Args:
         stepper: makes the steps, without gradients.
-        least_distance: as of `stabilise`.
-        passive: as of `stabilise`.
+        min_distance: as of `stabilise`.
+        energy_limiter: as of `stabilise`.
     """
 
-    def __init__(self, stepper: Stepper, least_distance: float, passive: bool) -> None:
-        self._stepper, self.least_distance, self.passive = stepper, least_distance, passive
+    def __init__(self, stepper: Stepper, min_distance: float, energy_limiter: bool) -> None:
+        self._stepper, self.min_distance, self.energy_limiter = stepper, min_distance, energy_limiter
         self.config, self.device, self.history_length = stepper.config, stepper.device, stepper.history_length
 
     def __call__(self, history: Tensor, static: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         position = self._stepper(history, static)
-        if self.least_distance:
+        if self.min_distance:
             position = self._apart(position, static)
-        if self.passive:
+        if self.energy_limiter:
             position = self._dissipating(history, position, static)
         return torch.where(static.moved[:, None], position, history[:, -1])
 
     def _apart(self, position: Tensor, static: SceneBatch) -> Tensor:
         """Move particles apart that are too close, each by half of what is missing, some times over."""
-        least = self.least_distance * self.config.spacing
+        least = self.min_distance * self.config.spacing
         lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
         if not bool(torch.isfinite(position).all()):
             return position

@@ -282,7 +282,7 @@ def _write(
                         failure = Failure("not finite", when, f"positions were no longer finite at {when:.3g} s")
                     if failure is not None or jobs[number].run.num_steps == made:
                         open_jobs.remove(number)
-                        failed = {"failed_at": failure.time, "failure": failure.sentence} if failure else {}
+                        failed = {"failed_at": failure.time, "failure": failure.message} if failure else {}
                         finish(number, **failed)
                         if failed:
                             print(f"{jobs[number].path}: unphysical state: {failed['failure']}; run stopped.")

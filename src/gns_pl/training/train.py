@@ -26,13 +26,13 @@ from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.callbacks import StopAtSignal
 from gns_pl.training.checkpoints import LAST, best_checkpoint
 from gns_pl.training.clock import cost_of
-from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.devices import check_devices, end_together, is_rank_zero
 from gns_pl.training.distribution import measure_distribution
 from gns_pl.training.loggers import close_loggers, log_settings
 from gns_pl.training.module import SimulatorModule
 from gns_pl.training.resume import exclusive, go_on, steps_made
+from gns_pl.training.run_summary import close_run, run_files
 from gns_pl.training.summary import SUMMARY_FILE
 from gns_pl.training.trainer import build_trainer, quieten
 

@@ -10,7 +10,7 @@ from typing import Any
 import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.converged import Converged, hashed
-from gns_pl.evaluation.doors import named_checkpoints
+from gns_pl.evaluation.checks import named_checkpoints
 from gns_pl.io import file_sha256
 from gns_pl.models.shipped import find_checkpoint, find_corrector, is_corrector
 from gns_pl.mpm.settings import solver_version

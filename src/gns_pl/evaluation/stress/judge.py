@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError, tolerated
-from gns_pl.evaluation.doors import check_figures, default_folder, make_folder, named_checkpoints
+from gns_pl.evaluation.checks import check_figures, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.scenes import chosen
 from gns_pl.io.atomic import write_atomically
 from gns_pl.text import command

@@ -24,7 +24,8 @@ def read_rows(path: Path) -> list[Row]:
     """
     if not path.is_file():
         return []
-    return read_table(path, Row, "is no table of the stress suite; remove it, or choose another out=")
+    advice = "is no table of the stress suite; remove it, or choose another out="
+    return read_table(path, Row, advice, renamed={"sentence": "message", "left_at": "exit_time"})
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -81,7 +82,7 @@ def failures(rows: Sequence[Row]) -> str:
         found = [row for row in some if row.kind and (row.inside or not row.announced)]
         for row in found[:NAMED]:
             where = "within its data" if row.inside else "not foretold"
-            lines.append(f"- `{name}`, {row.scene} ({row.value}), {where}: {row.sentence}.")
+            lines.append(f"- `{name}`, {row.scene} ({row.value}), {where}: {row.message}.")
         if len(found) > NAMED:
             lines.append(f"- `{name}`: and {len(found) - NAMED} more (stress.csv).")
     return "\n".join(lines) or "None."

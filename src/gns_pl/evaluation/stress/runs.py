@@ -45,8 +45,8 @@ class Row:
         duration: to be simulated [τc].
         kind: of the first failure; empty if there is none.
         failed_at: its time [τc]; NaN if there is none.
-        sentence: what was seen.
-        left_at: time at which the run left the training range [τc]; NaN if it did not, or nobody can say.
+        message: what was seen.
+        exit_time: at which the run left the training range [τc]; NaN if it did not, or nobody can say.
         energy_rise: largest rise of the energy over the least before, over that at the start.
         crowded: largest share of particles nearer than 0.3 of the first distance of neighbours.
         momentum: 95 % of the frames leave less of the acceleration unexplained [g].
@@ -67,8 +67,8 @@ class Row:
     duration: float
     kind: str
     failed_at: float
-    sentence: str
-    left_at: float
+    message: str
+    exit_time: float
     energy_rise: float
     crowded: float
     momentum: float
@@ -79,7 +79,7 @@ class Row:
     @property
     def announced(self) -> bool:
         """Whether the failure was foretold: the scene is beyond the data, or the run had left the training range."""
-        return bool(self.kind) and (not self.inside or self.left_at <= self.failed_at)
+        return bool(self.kind) and (not self.inside or self.exit_time <= self.failed_at)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def run_scene(subject: Subject, stress: StressScene, *, seed: int, cache: Path) 
         cache: folder of references, which heaps start from.
     """
     solve = _learned if subject.checkpoint is not None else _solved
-    made, watch, seconds, inside, left_at = solve(subject, stress, seed, cache)
+    made, watch, seconds, inside, exit_time = solve(subject, stress, seed, cache)
     failure, scene = watch.failure, stress.scene
     tau, heap = characteristic_time(scene), stress.axis == "heap"
     spacing = particle_spacing(made)
@@ -139,8 +139,8 @@ def run_scene(subject: Subject, stress: StressScene, *, seed: int, cache: Path) 
         duration=scene.duration / tau,
         kind=failure.kind if failure else "",
         failed_at=failure.time / tau if failure else math.nan,
-        sentence=failure.sentence if failure else "",
-        left_at=math.nan if left_at is None else left_at / tau,
+        message=failure.message if failure else "",
+        exit_time=math.nan if exit_time is None else exit_time / tau,
         energy_rise=watch.rise,
         crowded=watch.crowded,
         momentum=float(np.quantile(momentum, 0.95)),

@@ -25,11 +25,11 @@ class Suggestion:
     """One thing to change.
 
     Attributes:
-        sentence: why, with the number.
+        message: why, with the number.
         change: setting as one types it; None where the data themselves need mending.
     """
 
-    sentence: str
+    message: str
     change: str | None = None
 
 

@@ -67,7 +67,7 @@ def suggestion_lines(suggestions: Sequence[Suggestion]) -> list[str]:
         return ["Nothing to change."]
     lines = ["Suggestions:"]
     for index, suggestion in enumerate(suggestions, start=1):
-        lines.append(f"{index:>2}. {suggestion.sentence[0].upper()}{suggestion.sentence[1:]}")
+        lines.append(f"{index:>2}. {suggestion.message[0].upper()}{suggestion.message[1:]}")
         if suggestion.change is not None:
             quoted = f"'{suggestion.change}'" if "{" in suggestion.change else suggestion.change
             lines.append(f"    {quoted}")

@@ -15,9 +15,9 @@ from PIL import Image
 
 from gns_pl.models.checkpoint import load_checkpoint
 from gns_pl.text import override
-from gns_pl.training.close import best_validation
 from gns_pl.training.history import History, read_history
 from gns_pl.training.resume import find_resume
+from gns_pl.training.run_summary import best_validation
 from gns_pl.training.summary import described, read_summary, summary_lines
 from gns_pl.training.train import train
 from tests.training import fake_logger
