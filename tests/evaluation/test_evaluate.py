@@ -138,7 +138,7 @@ def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
 def test_films_and_series_in_three_dimensions(checkpoint, tmp_path) -> None:
     imageio = pytest.importorskip("imageio.v3")
     pyvista = pytest.importorskip("pyvista")
-    from gns_pl.viz.studio import draws_without_screen
+    from gns_pl.viz.vtk_renderer import draws_without_screen
 
     if not draws_without_screen():
         pytest.skip("VTK finds no OpenGL to draw without a screen")

@@ -21,8 +21,8 @@ from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, draw_plan, missing_bytes
 from gns_pl.graph import WindowRandom
 from gns_pl.training.advice import advise
-from gns_pl.training.advice.faults import Suggestion
-from gns_pl.training.advice.numbers import Advice, compute_advice, target_noise
+from gns_pl.training.advice.data_errors import Suggestion
+from gns_pl.training.advice.derived import Advice, compute_advice, target_noise
 from gns_pl.training.advice.report import suggestion_lines
 from gns_pl.training.advice.suggestions import suggest
 from gns_pl.training.config import TrainingConfig
@@ -69,8 +69,10 @@ def collapses() -> list[Any]:
     return made
 
 
-def advice_on(folder: Path, trajectories: list[Any], faults: dict[str, Any] | None = None, **settings: Any) -> Advice:
-    manifest = write_set(folder, trajectories, **(faults or {}))
+def advice_on(
+    folder: Path, trajectories: list[Any], data_errors: dict[str, Any] | None = None, **settings: Any
+) -> Advice:
+    manifest = write_set(folder, trajectories, **(data_errors or {}))
     model = make_model(connectivity_radius=settings.pop("radius", 0.11), context=settings.pop("context", True))
     survey = survey_dataset(folder, manifest, manifest.splits["train"], radius=model.connectivity_radius)
     memory, gravity = settings.pop("memory", 8e9), settings.pop("gravity", 9.81)
@@ -218,7 +220,7 @@ def test_one_aspect_ratio_and_no_validation(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("faults", "sentence"),
+    ("data_errors", "sentence"),
     [
         ({"scale": 80.0}, "positions are 80 times what they were in metres"),
         ({"scale": 0.01}, "positions are 0.01 times what they were in metres"),
@@ -226,10 +228,10 @@ def test_one_aspect_ratio_and_no_validation(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_units_are_named_and_nothing_else_is_advised(
-    tmp_path: Path, faults: dict[str, float], sentence: str
+    tmp_path: Path, data_errors: dict[str, float], sentence: str
 ) -> None:
     flights = [make_flight(make_scene(velocity=(0.4 * k, 0.0, 0.5)), 20) for k in range(3)]
-    wrong = suggest(advice_on(tmp_path / "wrong", flights, faults))
+    wrong = suggest(advice_on(tmp_path / "wrong", flights, data_errors))
     assert sentence in wrong[0].message and all(suggestion.change is None for suggestion in wrong)
     right = suggest(advice_on(tmp_path / "right", flights))
     assert not any("free fall" in suggestion.message for suggestion in right) and changes_something(right)
@@ -239,12 +241,12 @@ def changes_something(suggestions: list[Suggestion]) -> bool:
     return any(suggestion.change is not None for suggestion in suggestions)
 
 
-def test_other_faults_are_named(sound: Advice) -> None:
+def test_other_data_errors_are_named(sound: Advice) -> None:
     survey = sound.survey
     for part, values, sentence in (
-        ("faults", {"not_finite": ("a.h5", "b.h5")}, "2 files hold numbers that are not finite (a.h5, b.h5)"),
-        ("faults", {"outside": 0.01, "extent": 7.5}, "1 % of the particles lie outside their box"),
-        ("faults", {"other_dt": ("a.h5",)}, "1 files have another dt"),
+        ("data_errors", {"not_finite": ("a.h5", "b.h5")}, "2 files hold numbers that are not finite (a.h5, b.h5)"),
+        ("data_errors", {"outside": 0.01, "extent": 7.5}, "1 % of the particles lie outside their box"),
+        ("data_errors", {"other_dt": ("a.h5",)}, "1 files have another dt"),
         ("motion", {"step": (0.0, 0.1, 0.2, 0.6)}, "the fastest particle moves at 60 m/s"),
         ("motion", {"velocity_std": 10 * survey.motion.velocity_std}, "its statistics are not those of these files"),
         ("motion", {"velocity_std": 0.0}, "nothing in the data moves"),

@@ -14,7 +14,7 @@ from gns_pl.convert.formats.ours import KIND as OURS
 from gns_pl.convert.given import Given, axis_number
 from gns_pl.convert.material_value import material_question, stated_meaning
 from gns_pl.convert.sample import Sample, box_findings, listed, stated_or_seen_spacing, take_sample
-from gns_pl.data.probes import measure_gravity
+from gns_pl.data.estimators import measure_gravity
 from gns_pl.errors import InputError
 from gns_pl.scene.origin import COARSE, far_origin, without_origin
 

@@ -13,7 +13,7 @@ from gns_pl.convert.facts import Findings, find_out
 from gns_pl.convert.formats import UNCERTAIN_MATERIAL, ForeignSet
 from gns_pl.convert.given import Given
 from gns_pl.convert.sample import Sample, listed, take_sample
-from gns_pl.data.probes import neighbour_counts
+from gns_pl.data.estimators import neighbour_counts
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES
 from gns_pl.graph.radius import RADIUS

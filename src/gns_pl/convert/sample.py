@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.convert.formats import UNCERTAIN_MATERIAL, ForeignSet, Recording, Stated
+from gns_pl.data.estimators import interior_spacing, nearest_distance
 from gns_pl.data.places import check_inside
-from gns_pl.data.probes import interior_spacing, nearest_distance
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 

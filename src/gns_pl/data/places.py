@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gns_pl.data.probes import neighbour_counts
+from gns_pl.data.estimators import neighbour_counts
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.graph.radius import advised_radius

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 from torch_geometric.data import Data
 
-from gns_pl.data.findings import MOVING_SHARE, SPEED_AT_REST
+from gns_pl.data.survey_record import MOVING_SHARE, SPEED_AT_REST
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_trajectory, read_window

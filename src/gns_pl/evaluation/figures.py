@@ -36,7 +36,7 @@ def draw(
         Paths of the files.
     """
     from gns_pl.solvers.familiarity import LIMIT
-    from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
+    from gns_pl.viz import plot_curves, plot_evolution, plot_laws, plot_ood, write_animation
 
     curves = {name: {TITLES[key]: values for key, values in result.curves.items()} for name, result in results.items()}
     bands = {name: {TITLES["learned"]: result.band} for name, result in results.items()}
@@ -45,7 +45,7 @@ def draw(
     plot_curves(curves, ("energy", "speed"), files[2:], bands)
     far = {name: result.familiarity for name, result in results.items() if result.familiarity is not None}
     if far:
-        files.append(out / "familiarity.png")
+        files.append(out / "ood.png")
         distances = {
             name: (
                 each.time / characteristic_time(results[name].trajectories["reference"].scene),
@@ -54,7 +54,7 @@ def draw(
             )
             for name, each in far.items()
         }
-        plot_familiarity(distances, LIMIT, files[-1])
+        plot_ood(distances, LIMIT, files[-1])
     columns = [result.report for result in results.values() if is_column(result.trajectories["reference"].scene)]
     if len(columns) >= LEAST_COLUMNS:
         files += [out / "laws.png", out / "laws.pdf"]

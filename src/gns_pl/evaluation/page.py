@@ -18,7 +18,7 @@ SHARED = (
     ("runout_height", "Runout and height over time; shaded is the range of the placements"),
     ("laws", "Runout beside published laws"),
     ("energy", "Energy and speed"),
-    ("familiarity", "How far each run is from training; above the dashed line it is beyond (docs/trust.md)"),
+    ("ood", "Distance of each run from the training data; above the dashed line it is out of range (docs/trust.md)"),
 )
 """Figures of all scenes together: name of the file, caption."""
 

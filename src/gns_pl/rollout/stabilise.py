@@ -36,8 +36,8 @@ def stabilise(
         stepper: stays as it is; `acceleration.accelerate` goes first.
         sleep: particles slower than this for some steps, their neighbours too, stay where they are (`rest`) [m/s].
         min_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
-        energy_limiter: a step that raises the energy of motion and height has its velocities scaled down, all of a scene's by
-            one factor, until it does not.
+        energy_limiter: a step that raises the energy of motion and height has its velocities scaled down, all of a
+            scene's by one factor, until it does not.
 
     Raises:
         InputError: a negative limit, or distances that no filling keeps.
