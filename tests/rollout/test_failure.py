@@ -1,4 +1,4 @@
-"""When a run has failed: what falls freely, slides and rests has not; what no sand does has, at the right frame."""
+"""When a run has failed: what falls freely, slides and rests has not; an unphysical state has, at the right frame."""
 
 from __future__ import annotations
 

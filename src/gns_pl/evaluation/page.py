@@ -98,7 +98,7 @@ def verdict(scene: Mapping[str, Any]) -> str:
     if scene["failed_at"] is not None:
         return f"The rollout failed after {scene['failed_at']:.3g} s: there is nothing to judge."
     if scene.get("failure"):
-        return f"No sand does what this rollout did: {scene['failure']} (docs/stability.md)."
+        return f"The rollout reached an unphysical state: {scene['failure']} (docs/stability.md)."
     if placed["number"] and placed["failed"] == placed["number"]:
         return f"The rollouts of all {placed['number']} placements failed: there is nothing to judge."
     spread = scene["reference_spread"]
@@ -123,11 +123,11 @@ def trust(scene: Mapping[str, Any]) -> str:
     """Return in words whether the run stayed where the network was trained."""
     found = scene["familiarity"]
     if found is None:
-        text = "The checkpoint does not say what it saw in training."
+        text = "The checkpoint holds no training distribution."
     elif found["sentence"] is None:
-        text = f"Within what was seen in training (distance {found['early']:.2g} until τc)."
+        text = f"Within the training distribution (distance {found['early']:.2g} until τc)."
     else:
-        text = f"Beyond what was seen in training: {found['sentence']}."
+        text = f"Outside the training distribution: {found['sentence']}."
     return text
 
 

@@ -134,7 +134,7 @@ def describe(scene: Mapping[str, Any]) -> str:
     if scene["failed_at"] is not None:
         text += f" **The rollout failed: positions are not finite from t = {scene['failed_at']:.4g} s on.**"
     elif scene["failure"] is not None:
-        text += f" **No sand does this: {scene['failure']}.**"
+        text += f" **Unphysical state: {scene['failure']}.**"
     return text
 
 

@@ -149,8 +149,8 @@ def context_fields(
         weights.append(torch.stack([parts[side][axis] for axis, side in enumerate(corner)]).prod(dim=0))
         corners.append(first + sum(side * step for side, step in zip(corner, stride, strict=True)))
     corner_index, weight = torch.cat(corners), torch.stack(weights)[:, :, None]
-    carried = volume[:, None] * torch.cat([torch.ones_like(velocity[:, :1]), velocity], dim=1)
-    spread = (weight * carried).flatten(0, 1)
+    moments = volume[:, None] * torch.cat([torch.ones_like(velocity[:, :1]), velocity], dim=1)
+    spread = (weight * moments).flatten(0, 1)
     if grid.room is None or grid.height is None:
         nodal, corner_index = _sparse_sums(grid, spread, corner_index)
     else:

@@ -1,4 +1,4 @@
-"""A material point run that stops at every frame, so that somebody may look at its points and push them."""
+"""A material point run that stops at every frame, so that somebody may look at its points and change their velocities."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class SteppedRun:
             name = self.plan.scene.name
             raise SimulationError(f"scene {name!r}: points that were pushed left the box or reached {fastest:.3g} m/s.")
 
-    def push(self, velocity: NDArray[Any]) -> None:
-        """Add velocities to the points'; their places, stress and affine momentum stay.
+    def add_velocity(self, velocity: NDArray[Any]) -> None:
+        """Add velocities to those of the points; their positions, stress and affine momentum stay.
 
         Args:
             velocity: [N, D] [m/s].

@@ -1,8 +1,8 @@
-"""When a run has failed: five conditions that no passive sand meets, looked at frame by frame.
+"""When a run has failed: five unphysical states, checked frame by frame.
 
 They are the same for the material point method and for learned simulators, need no reference, and stop a rollout with
-a sentence in place of letting it explode in silence. A run that meets none may still be wrong: `familiarity` and a
-look at MPM are for that.
+a message before it diverges. A run that meets none may still be wrong: its distance from the training data
+(docs/trust.md) and a run of MPM tell more.
 """
 
 from __future__ import annotations

@@ -88,8 +88,8 @@ class StableStepper:
             aside = torch.zeros_like(away)  # for two in one place: the one of the higher number goes up
             aside[:, -1] = torch.where(receiver > sender, 1.0, -1.0)
             direction = torch.where(distance > 1e-6 * least, away / distance.clamp_min(1e-12), aside)
-            push = torch.zeros_like(position).index_add_(0, receiver, 0.5 * (least - distance) * direction)
-            position = torch.clamp(position + push, lower, upper)
+            shift = torch.zeros_like(position).index_add_(0, receiver, 0.5 * (least - distance) * direction)
+            position = torch.clamp(position + shift, lower, upper)
         return position
 
     def _dissipating(self, history: Tensor, position: Tensor, static: SceneBatch) -> Tensor:

@@ -72,7 +72,7 @@ def corrected_run(corrector: Corrector, start: Trajectory, num_steps: int) -> Tr
         predicted = run.position
         arrays = (torch.from_numpy(each.astype(np.float32)) for each in (before, position, predicted))
         velocity = corrector(*arrays, static).numpy()
-        run.push(velocity)
+        run.add_velocity(velocity)
         before = position
         frames.append(run.position.astype(np.float32))
     provenance = {"solver": "gns_pl.solvers.correction", "wall_seconds": time.perf_counter() - began}
@@ -115,5 +115,5 @@ def followed_run(
         if trust:
             learned = corrector(*map(torch.from_numpy, arrays[:3]), static).numpy()
             velocity = (1 - trust) * velocity + trust * learned
-        run.push(velocity)
+        run.add_velocity(velocity)
         before = position

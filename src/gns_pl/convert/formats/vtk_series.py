@@ -96,25 +96,25 @@ def read_frame(series: Series, number: int, *, attributes: bool = True) -> tuple
         number: of the frame.
         attributes: whether the files of the attributes are read as well.
     """
-    points, carried = _read(series.frames[number])
+    points, arrays = _read(series.frames[number])
     for other in series.attributes if attributes else ():
         if number in other.frames:
-            carried = {**_read(other.frames[number])[1], **carried}
-    return points, carried
+            arrays = {**_read(other.frames[number])[1], **arrays}
+    return points, arrays
 
 
 def _read(files: Sequence[Path]) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
-    points, carried = [], []
+    points, arrays = [], []
     for file in files:
         with reading(file):
             one, more = read_points(file, empty=len(files) > 1)
         if len(one):
             points.append(one)
-            carried.append(more)
+            arrays.append(more)
     if not points:
         raise InputError(f"{files[0]}: has no points.")
-    names = set(carried[0]).intersection(*carried)
-    return np.concatenate(points), {name: np.concatenate([each[name] for each in carried]) for name in sorted(names)}
+    names = set(arrays[0]).intersection(*arrays)
+    return np.concatenate(points), {name: np.concatenate([each[name] for each in arrays]) for name in sorted(names)}
 
 
 def _read_list(file: Path, folder: Path) -> Series:
@@ -234,8 +234,8 @@ def _is_mesh(series: Series) -> bool:
 
 def _look(files: tuple[Path, ...]) -> tuple[str, frozenset[str]]:
     """Return a digest of the points of a frame, and the names of what they carry."""
-    points, carried = _read(files)
-    return hashlib.sha256(points.astype(np.float64).tobytes()).hexdigest(), frozenset(carried)
+    points, arrays = _read(files)
+    return hashlib.sha256(points.astype(np.float64).tobytes()).hexdigest(), frozenset(arrays)
 
 
 def _belongs(each: Series, host: Series, look: Callable[[tuple[Path, ...]], tuple[str, frozenset[str]]]) -> bool:
