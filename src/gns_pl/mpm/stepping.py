@@ -1,4 +1,4 @@
-"""A material point run that stops at every frame, so that somebody may look at its points and change their velocities."""
+"""A material point run that stops at every frame, so that its points may be read and their velocities changed."""
 
 from __future__ import annotations
 
