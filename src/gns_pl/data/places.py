@@ -103,8 +103,8 @@ def check_inside(
         InputError: more than stragglers; a clause that leaves naming the source to the caller.
     """
     inside = OutsideCounter(lower, upper, margin)
-    for each in frames:
-        inside.count(each)
+    for positions in frames:
+        inside.count(positions)
     inside.check()
     return inside.message()
 

@@ -48,11 +48,11 @@ def draw(
         files.append(out / "ood.png")
         distances = {
             name: (
-                each.time / characteristic_time(results[name].trajectories["reference"].scene),
-                each.mean,
-                each.share,
+                ood.time / characteristic_time(results[name].trajectories["reference"].scene),
+                ood.mean,
+                ood.share,
             )
-            for name, each in far.items()
+            for name, ood in far.items()
         }
         plot_ood(distances, LIMIT, files[-1])
     columns = [result.report for result in results.values() if is_column(result.trajectories["reference"].scene)]
@@ -111,11 +111,13 @@ def of_columns(reports: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[flo
     return {
         TITLES[key]: [
             (
-                each["aspect_ratio"],
-                each[key]["runout_99"] if each[key]["runout_99"] is not None else nothing,
-                (each["reference_spread"] if key == "reference" else each["placements"]["std"]).get("runout_99", 0.0),
+                report["aspect_ratio"],
+                report[key]["runout_99"] if report[key]["runout_99"] is not None else nothing,
+                (report["reference_spread"] if key == "reference" else report["placements"]["std"]).get(
+                    "runout_99", 0.0
+                ),
             )
-            for each in reports
+            for report in reports
         ]
         for key in TITLES
     }

@@ -121,31 +121,31 @@ def verdict(scene: Mapping[str, Any]) -> str:
 
 def trust(scene: Mapping[str, Any]) -> str:
     """Return in words whether the run stayed where the network was trained."""
-    found = scene["familiarity"]
-    if found is None:
+    ood = scene["familiarity"]
+    if ood is None:
         text = "The checkpoint holds no training distribution."
-    elif found["sentence"] is None:
-        text = f"Within the training distribution (distance {found['early']:.2g} until τc)."
+    elif ood["sentence"] is None:
+        text = f"Within the training distribution (distance {ood['early']:.2g} until τc)."
     else:
-        text = f"Outside the training distribution: {found['sentence']}."
+        text = f"Outside the training distribution: {ood['sentence']}."
     return text
 
 
 def provenance(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return where the numbers come from: label, text."""
     checkpoint, run = document["checkpoint"], document["run"]
-    made, model, data = checkpoint["provenance"], checkpoint["model"], checkpoint["data"]
+    origin, model, data = checkpoint["provenance"], checkpoint["model"], checkpoint["data"]
     shape = f"{model['num_message_passing_steps']} message-passing steps, {model['latent_size']} wide"
     shape += (
         f", radius {model['connectivity_radius']:g} m, steps of {model['dt']:.3g} s, spacing {model['spacing']:.3g} m"
     )
     rows = [
-        ("description", str(made.get("description", ""))),
+        ("description", str(origin.get("description", ""))),
         ("network", shape),
-        ("trained for", f"{made['steps']:,} steps" if "steps" in made else ""),
+        ("trained for", f"{origin['steps']:,} steps" if "steps" in origin else ""),
         ("data set", str(data.get("name", ""))),
-        ("hash of the data", str(made.get("manifest_sha256", ""))),
-        ("commit of the training", str(made.get("commit", ""))),
+        ("hash of the data", str(origin.get("manifest_sha256", ""))),
+        ("commit of the training", str(origin.get("commit", ""))),
         ("start", describe_start(model, next(iter(document["scenes"].values()))["given_frames"])),
         ("this evaluation", f"{run['command']}, {run['date']}"),
         ("machine", str(run["machine"])),

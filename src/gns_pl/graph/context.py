@@ -83,13 +83,13 @@ class ContextGrid:
             extent = extent.view(boxes, *[-1 if other == axis else 1 for other in range(dim)])
             room = room * extent
         flat = (boxes * math.prod(shape[:-1]), shape[-1], 1)
-        room, height = (each.expand(boxes, *shape).reshape(flat) for each in (room, extent))
+        room, height = (values.expand(boxes, *shape).reshape(flat) for values in (room, extent))
         return cls(shape, lower, cells, edge, room, height)
 
 
 def grid_shape(cells: Sequence[float]) -> tuple[int, ...]:
     """Return the nodes of every axis of a grid with so many cells."""
-    return tuple(int(each) + 1 for each in cells)
+    return tuple(int(cell) + 1 for cell in cells)
 
 
 def context_bytes(nodes: int, boxes: int, num_particles: int, dim: int) -> int:

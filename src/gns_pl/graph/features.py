@@ -46,11 +46,11 @@ class SceneBatch:
 
     def to(self, device: torch.device | str) -> SceneBatch:
         """Return the same on another device."""
-        return SceneBatch(**{each.name: getattr(self, each.name).to(device) for each in fields(self) if each.init})
+        return SceneBatch(**{entry.name: getattr(self, entry.name).to(device) for entry in fields(self) if entry.init})
 
     def in_precision(self, dtype: torch.dtype) -> SceneBatch:
         """Return the same with its numbers in another precision; this very object if they are in it."""
-        floats = {each.name: getattr(self, each.name) for each in fields(self) if each.init}
+        floats = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.init}
         wrong = {name: value for name, value in floats.items() if value.is_floating_point() and value.dtype != dtype}
         return replace(self, **{name: value.to(dtype) for name, value in wrong.items()}) if wrong else self
 
@@ -140,7 +140,7 @@ def node_features(
         parts.append(torch.stack([floor, thickness / (REACH * radius), empty, 2 * fraction], dim=1))
         parts.append(momentum / (REACH * radius * velocity_scale))
     if len(particle_types) > 1:
-        known = [static.particle_type == each for each in particle_types]
+        known = [static.particle_type == kind for kind in particle_types]
         parts.append(torch.stack(known, dim=1).to(position.dtype))
     used = material_scale.shape[1]
     if used:

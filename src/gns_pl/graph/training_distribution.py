@@ -85,7 +85,7 @@ class TrainingDistribution:
         covariance = scaled.T @ scaled / len(scaled) + RIDGE * torch.eye(len(mean), dtype=scaled.dtype)
         inverse = torch.linalg.inv(torch.linalg.cholesky(covariance))
         usual = torch.quantile((scaled @ inverse.T).square().mean(dim=1).sqrt(), USUAL)
-        low, high, mean, spread, inverse = (each.float() for each in (low, high, mean, spread, inverse))
+        low, high, mean, spread, inverse = (value.float() for value in (low, high, mean, spread, inverse))
         return cls(tuple(names), low, high, mean, spread, inverse, float(usual), source)
 
     def distance(self, features: Tensor) -> Tensor:

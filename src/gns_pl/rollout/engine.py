@@ -50,9 +50,9 @@ def static_of(*trajectories: Trajectory) -> SceneBatch:
     scenes = [trajectory.scene for trajectory in trajectories]
     numbers = torch.tensor([trajectory.num_particles for trajectory in trajectories])
     return SceneBatch(
-        particle_type=torch.cat([torch.from_numpy(each.particle_type) for each in trajectories]),
-        material=torch.cat([torch.from_numpy(each.material) for each in trajectories]),
-        volume=torch.cat([torch.from_numpy(each.volume()) for each in trajectories]),
+        particle_type=torch.cat([torch.from_numpy(trajectory.particle_type) for trajectory in trajectories]),
+        material=torch.cat([torch.from_numpy(trajectory.material) for trajectory in trajectories]),
+        volume=torch.cat([torch.from_numpy(trajectory.volume()) for trajectory in trajectories]),
         lower=torch.tensor([scene.lower for scene in scenes], dtype=torch.float32),
         upper=torch.tensor([scene.upper for scene in scenes], dtype=torch.float32),
         gravity=torch.tensor([scene.gravity for scene in scenes], dtype=torch.float32),
@@ -71,11 +71,11 @@ def history_of(run: Run, config: SimulatorConfig, frames: int = 0) -> Tensor:
         frames: that are wanted, if more than H: of those before, the ones that were never made are NaN.
     """
     length, start = config.input_sequence_length, run.start
-    made = start.position[:1] if run.past is None else run.past[-max(length, frames) :]
+    recent = start.position[:1] if run.past is None else run.past[-max(length, frames) :]
     before = ballistic_history(start.position[0], start.initial_velocity, config.dt, length)[:-1]
     # A run that goes on early still looks back before its first frame, as the single run does.
-    positions = np.concatenate([before, made])[-max(length, frames) :]
-    missing = np.full((max(0, frames - len(positions)), *made.shape[1:]), np.nan)
+    positions = np.concatenate([before, recent])[-max(length, frames) :]
+    missing = np.full((max(0, frames - len(positions)), *recent.shape[1:]), np.nan)
     positions = np.concatenate([missing, positions]).astype(np.float32)
     return torch.from_numpy(positions).transpose(0, 1).contiguous()
 

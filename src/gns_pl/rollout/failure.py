@@ -128,10 +128,10 @@ class Watch:
             self._before = position
             return None
         current = np.asarray(position, dtype=np.float64)
-        found = self._first(current)
-        if found is not None:
+        problem = self._first(current)
+        if problem is not None:
             time = self._frame * self._dt
-            self.failure = Failure(found[0], time, f"{found[1]} at {time:.3g} s")
+            self.failure = Failure(problem[0], time, f"{problem[1]} at {time:.3g} s")
         self._before = current
         return self.failure
 

@@ -76,13 +76,13 @@ def check_memory(stepper: Stepper, runs: list[Run], share: float = 1.0) -> str:
         config, len(position), int(HEADROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share
     )
     free = _free_bytes(device)
-    said = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"
+    description = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"
     if needed > free:
         raise InputError(
-            f"{said}, but {free / 1e9:.3g} GB are free on {device}; take fewer scenes at once, a coarser simulator, or "
-            "more devices."
+            f"{description}, but {free / 1e9:.3g} GB are free on {device}; take fewer scenes at once, a coarser "
+            "simulator, or more devices."
         )
-    return f"{said} of {free / 1e9:.3g} GB free"
+    return f"{description} of {free / 1e9:.3g} GB free"
 
 
 def _free_bytes(device: torch.device) -> int:

@@ -103,11 +103,11 @@ class SleepingStepper:
         reached = self._reached
         if bool(reached.all()):
             return self._network(node, edge, edge_index)
-        kept = reached[edge_index[1]]
-        edge_index, edge = edge_index[:, kept], edge[kept]
-        seen = reached.index_fill(0, edge_index[0], True)
-        number = seen.cumsum(0) - 1
-        output = self._network(node[seen], edge, number[edge_index])
+        passed = reached[edge_index[1]]
+        edge_index, edge = edge_index[:, passed], edge[passed]
+        visible = reached.index_fill(0, edge_index[0], True)
+        number = visible.cumsum(0) - 1
+        output = self._network(node[visible], edge, number[edge_index])
         whole = output.new_zeros(len(node), output.shape[1])
-        whole[seen] = output
+        whole[visible] = output
         return whole

@@ -180,7 +180,7 @@ class SimulatorModule(LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what `gns_pl.models.checkpoint` reads."""
         provenance = {**self.provenance, "steps": self.global_step}
-        clocks = [each for each in self.trainer.callbacks if isinstance(each, Stopwatch)]  # type: ignore[attr-defined]
+        clocks = [callback for callback in self.trainer.callbacks if isinstance(callback, Stopwatch)]  # type: ignore[attr-defined]
         if "cost" in provenance and clocks:
             provenance["cost"] = {**provenance["cost"], "train_seconds": clocks[0].seconds}
         checkpoint[KEY] = checkpoint_entry(self.simulator, self.data, provenance, self.distribution)

@@ -104,8 +104,8 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     if trainer.global_step < steps:
         print(f"Stopped after {trainer.global_step} of {steps} steps; to go on, add {go_on(output)}")
     results = (output / LAST, best_checkpoint(trainer), *run_files(output), *sorted(output.glob("csv/*/metrics.csv")))
-    made = [*filter(None, results), *sorted(output.glob("wandb/*run-*")), *sorted(output.glob("tensorboard/*"))]
-    print("Made:", *(path for path in made if path.exists()), sep="\n  ")
+    files = [*filter(None, results), *sorted(output.glob("wandb/*run-*")), *sorted(output.glob("tensorboard/*"))]
+    print("Made:", *(path for path in files if path.exists()), sep="\n  ")
     return output / LAST
 
 

@@ -84,7 +84,7 @@ def rows(advice: Advice) -> list[tuple[str, str, str]]:
 def _size_rows(advice: Advice) -> list[tuple[str, str, str]]:
     survey, training = advice.survey, advice.training
     sizes, starts = survey.sizes, survey.starts
-    kept = "kept in memory" if sizes.bytes <= training.memory_limit else "read window by window"
+    storage = "kept in memory" if sizes.bytes <= training.memory_limit else "read window by window"
     low, middle, high = starts.aspect_ratio
     return [
         (
@@ -96,7 +96,7 @@ def _size_rows(advice: Advice) -> list[tuple[str, str, str]]:
         (
             "positions",
             f"{sizes.bytes / 1e9:.2g} GB",
-            f"{kept} (training.memory_limit {training.memory_limit / 1e9:.2g} GB)",
+            f"{storage} (training.memory_limit {training.memory_limit / 1e9:.2g} GB)",
         ),
         (
             "a pass",

@@ -49,8 +49,8 @@ def suggest(advice: Advice) -> list[Suggestion]:
     Args:
         advice: the numbers.
     """
-    wrong = [found for rule in DATA_ERRORS if (found := rule(advice)) is not None]
-    return wrong or [found for rule in RULES if (found := rule(advice)) is not None]
+    wrong = [suggestion for rule in DATA_ERRORS if (suggestion := rule(advice)) is not None]
+    return wrong or [suggestion for rule in RULES if (suggestion := rule(advice)) is not None]
 
 
 def _radius(advice: Advice) -> Suggestion | None:
