@@ -74,9 +74,9 @@ class SceneBatch:
         return self._grids[cell]
 
 
-def in_precision(history: Tensor, static: SceneBatch, dtype: torch.dtype) -> tuple[Tensor, SceneBatch]:
+def in_precision(history: Tensor, scenes: SceneBatch, dtype: torch.dtype) -> tuple[Tensor, SceneBatch]:
     """Return what a step is made from in the precision of the weights that make it."""
-    return history.to(dtype), static.in_precision(dtype)
+    return history.to(dtype), scenes.in_precision(dtype)
 
 
 REACH = 4.0
@@ -98,7 +98,7 @@ def node_width(
 def node_features(
     velocity: Tensor,
     position: Tensor,
-    static: SceneBatch,
+    scenes: SceneBatch,
     *,
     velocity_scale: Tensor,
     radius: float,
@@ -112,7 +112,7 @@ def node_features(
     Args:
         velocity: past velocities, the latest last [N, H − 1, D] [m/s].
         position: latest position [N, D] [m].
-        static: the scenes.
+        scenes: those that are stepped.
         velocity_scale: [] [m/s], velocities are divided by it.
         radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
         spacing: of the particles [m].
@@ -124,27 +124,27 @@ def node_features(
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
     """
-    to_lower = position - static.of_particles(static.lower)
-    to_upper = static.of_particles(static.upper) - position
+    to_lower = position - scenes.of_particles(scenes.lower)
+    to_upper = scenes.of_particles(scenes.upper) - position
     walls = torch.cat([to_lower, to_upper], dim=1) / radius
     parts = [(velocity / velocity_scale).flatten(1), walls.clamp(-1, 1)]
     if context:
         thickness, momentum, empty, fraction = context_fields(
-            position, velocity[:, -1], static.grid(radius), static.batch, volume=static.volume
+            position, velocity[:, -1], scenes.grid(radius), scenes.batch, volume=scenes.volume
         )
         floor = (to_lower[:, -1] / (REACH * radius)).clamp(-1, 1)
         empty = (empty / radius).clamp(-EMPTY, EMPTY)
         # Particles of a thinned set stand for more or less than their lattice cell, by up to a tenth in small bodies.
         # What is sound is one particle per cell, whatever it weighs: thus the density of particles, not of volume.
-        fraction = fraction * spacing ** position.shape[1] / static.volume
+        fraction = fraction * spacing ** position.shape[1] / scenes.volume
         parts.append(torch.stack([floor, thickness / (REACH * radius), empty, 2 * fraction], dim=1))
         parts.append(momentum / (REACH * radius * velocity_scale))
     if len(particle_types) > 1:
-        known = [static.particle_type == kind for kind in particle_types]
+        known = [scenes.particle_type == kind for kind in particle_types]
         parts.append(torch.stack(known, dim=1).to(position.dtype))
     used = material_scale.shape[1]
     if used:
-        parts.append((static.material[:, :used] - material_scale[0]) / material_scale[1])
+        parts.append((scenes.material[:, :used] - material_scale[0]) / material_scale[1])
     return torch.cat(parts, dim=1)
 
 

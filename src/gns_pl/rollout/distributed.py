@@ -106,9 +106,9 @@ class SlabStepper:
         self._network.exchange = self._exchange
         self._stepper = replace(single, search=self._search, network=self._evaluate)
 
-    def __call__(self, history: Tensor, static: SceneBatch) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later [N, D] [m]; arguments as the simulator's."""
-        position = self._stepper(history, static)
+        position = self._stepper(history, scenes)
         others = torch.ones(len(position), dtype=torch.bool, device=position.device)
         others[self._current.own] = False
         position[others] = 0.0

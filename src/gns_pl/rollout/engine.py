@@ -131,14 +131,14 @@ def unroll(
     histories = {number: history_of(runs[number], stepper.config, length).to(device) for number in active}
     count = 0
     while active:
-        static = static_of(*(runs[number].start for number in active)).to(device)
+        scenes = static_of(*(runs[number].start for number in active)).to(device)
         history = torch.cat([histories[number] for number in active])
         lengths = [runs[number].start.num_particles for number in active]
-        scripted = torch.nonzero(~static.moved)[:, 0]
+        scripted = torch.nonzero(~scenes.moved)[:, 0]
         going = active
         while going == active:
             count += 1
-            position = stepper(history, static)
+            position = stepper(history, scenes)
             if len(scripted):
                 frames = [runs[number].start.position[runs[number].made + count] for number in active]
                 position = position.index_put((scripted,), _tensor(frames, device)[scripted])

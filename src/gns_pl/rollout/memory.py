@@ -66,12 +66,12 @@ def check_memory(stepper: Stepper, runs: list[Run], share: float = 1.0) -> str:
         InputError: less is free than is needed.
     """
     config, device = stepper.config, stepper.device
-    static = static_of(*(run.start for run in runs))
+    scenes = static_of(*(run.start for run in runs))
     position = torch.cat([history_of(run, config)[:, -1] for run in runs])
-    radius, graphs = config.connectivity_radius, static.num_graphs
-    edges = radius_graph(position, radius, static.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
+    radius, graphs = config.connectivity_radius, scenes.num_graphs
+    edges = radius_graph(position, radius, scenes.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
     blocks = device.type == "cpu" and network_class(config.network).blocked
-    nodes = math.prod(static.grid(radius).shape) if config.context else 0
+    nodes = math.prod(scenes.grid(radius).shape) if config.context else 0
     needed = estimate_bytes(
         config, len(position), int(HEADROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share
     )

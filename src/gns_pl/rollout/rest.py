@@ -78,15 +78,15 @@ class SleepingStepper:
         self.history_length = max(stepper.history_length, REST_STEPS + 1)
         self.awake = self._reached = self._moving = torch.empty(0, dtype=torch.bool)
 
-    def __call__(self, history: Tensor, static: SceneBatch) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         step, config = self.speed * self.config.dt, self.config
         slow = history[:, -REST_STEPS - 1 :].diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
         self._moving = ~slow.all(dim=1) if history.shape[1] > REST_STEPS else torch.ones_like(slow[:, 0])
         recent = history[:, -self._stepper.history_length :]
         if self._open is None:
-            self._find(recent[:, -1], config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
-        position = self._stepper(recent, static)  # finds out who is awake
+            self._find(recent[:, -1], config.connectivity_radius, scenes.batch, num_graphs=scenes.num_graphs)
+        position = self._stepper(recent, scenes)  # finds out who is awake
         return torch.where(self.awake[:, None], position, history[:, -1])
 
     def _find(self, *arguments: object, **settings: object) -> Tensor:

@@ -64,23 +64,23 @@ class StableStepper:
         self._stepper, self.min_distance, self.energy_limiter = stepper, min_distance, energy_limiter
         self.config, self.device, self.history_length = stepper.config, stepper.device, stepper.history_length
 
-    def __call__(self, history: Tensor, static: SceneBatch) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
-        position = self._stepper(history, static)
+        position = self._stepper(history, scenes)
         if self.min_distance:
-            position = self._apart(position, static)
+            position = self._apart(position, scenes)
         if self.energy_limiter:
-            position = self._dissipating(history, position, static)
-        return torch.where(static.moved[:, None], position, history[:, -1])
+            position = self._dissipating(history, position, scenes)
+        return torch.where(scenes.moved[:, None], position, history[:, -1])
 
-    def _apart(self, position: Tensor, static: SceneBatch) -> Tensor:
+    def _apart(self, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Move particles apart that are too close, each by half of what is missing, some times over."""
         least = self.min_distance * self.config.spacing
-        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
+        lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
         if not bool(torch.isfinite(position).all()):
             return position
         for _ in range(SWEEPS):
-            sender, receiver = radius_graph(position, least, static.batch, num_graphs=static.num_graphs)
+            sender, receiver = radius_graph(position, least, scenes.batch, num_graphs=scenes.num_graphs)
             if len(sender) == 0:
                 break
             away = position[receiver] - position[sender]
@@ -92,7 +92,7 @@ class StableStepper:
             position = torch.clamp(position + shift, lower, upper)
         return position
 
-    def _dissipating(self, history: Tensor, position: Tensor, static: SceneBatch) -> Tensor:
+    def _dissipating(self, history: Tensor, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Scale the velocities of scenes whose energy rose, by the largest s in [0, 1] with E(s) ≤ E_before.
 
         E(s) = Σ m (s² v²/2 − g · (x + s v Δt/2)) is quadratic in s: the energy in the middle of the step, which free
@@ -100,23 +100,23 @@ class StableStepper:
         kinematic particles move they do work, and nothing is scaled.
         """
         dt, before, earlier = self.config.dt, history[:, -1], history[:, -2]
-        gravity, weight = static.of_particles(static.gravity), static.volume
-        lowest = static.of_particles(torch.where(static.gravity > 0, static.upper, static.lower))
+        gravity, weight = scenes.of_particles(scenes.gravity), scenes.volume
+        lowest = scenes.of_particles(torch.where(scenes.gravity > 0, scenes.upper, scenes.lower))
         velocity, past = (position - before) / dt, (before - earlier) / dt
-        quadratic = self._sum(weight, velocity.square().sum(1) / 2, static)
-        linear = -self._sum(weight, (gravity * velocity).sum(1) * dt / 2, static)
-        height = self._sum(weight, ((lowest - before) * gravity).sum(1), static)
-        there = self._sum(weight, past.square().sum(1) / 2 + (gravity * past).sum(1) * dt / 2, static) + height
+        quadratic = self._sum(weight, velocity.square().sum(1) / 2, scenes)
+        linear = -self._sum(weight, (gravity * velocity).sum(1) * dt / 2, scenes)
+        height = self._sum(weight, ((lowest - before) * gravity).sum(1), scenes)
+        there = self._sum(weight, past.square().sum(1) / 2 + (gravity * past).sum(1) * dt / 2, scenes) + height
         allowed = there * (1 + ROUNDING) - height
         root = (linear.square() + 4 * quadratic * allowed).clamp_min(0).sqrt()
         factor = ((root - linear) / (2 * quadratic).clamp_min(1e-30)).clamp(0, 1)
-        pushed = self._sum(weight, past.square().sum(1) * ~static.moved, static) > 0
+        pushed = self._sum(weight, past.square().sum(1) * ~scenes.moved, scenes) > 0
         factor = torch.where(pushed | (quadratic + linear <= allowed), 1.0, factor)
-        factor = static.of_particles(factor[:, None])
+        factor = scenes.of_particles(factor[:, None])
         return torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
 
     @staticmethod
-    def _sum(weight: Tensor, value: Tensor, static: SceneBatch) -> Tensor:
+    def _sum(weight: Tensor, value: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the sum of a quantity over the particles of every scene [B], in double precision."""
-        total = torch.zeros(static.num_graphs, dtype=torch.float64, device=value.device)
-        return total.index_add_(0, static.batch, (weight * value).double())
+        total = torch.zeros(scenes.num_graphs, dtype=torch.float64, device=value.device)
+        return total.index_add_(0, scenes.batch, (weight * value).double())

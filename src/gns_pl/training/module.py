@@ -101,17 +101,17 @@ class SimulatorModule(LightningModule):
         random batch would not be), and it is additive: the mean of the gradients of several processes with equally many
         windows each is the gradient of the joined batch, whatever the windows' sizes.
         """
-        static = static_of_batch(batch)
+        scenes = static_of_batch(batch)
         # A window's noise depends on the seed and its number alone: resumed or spread over processes, it is the same.
-        random = WindowRandom(self.seed, batch.number, static.batch)
+        random = WindowRandom(self.seed, batch.number, scenes.batch)
         length = self.simulator.config.input_sequence_length
         steps = self._unrolled(self.global_step)
         truth = batch.position[:, : length + steps]
         if self.optimisation["symmetry"]:
-            truth, static = sample_symmetry(truth, static, random)
+            truth, scenes = sample_symmetry(truth, scenes, random)
         history, future = truth[:, :length], truth[:, length:]
-        history, goal = self.perturb(history, future[:, 0], static, random)
-        moved, delta = static.moved, self.optimisation["huber_delta"]
+        history, goal = self.perturb(history, future[:, 0], scenes, random)
+        moved, delta = scenes.moved, self.optimisation["huber_delta"]
         parts = future.shape[2] * batch.num_graphs * self.particles_per_window
 
         def difference(predicted: Tensor, target: Tensor) -> Tensor:
@@ -127,7 +127,7 @@ class SimulatorModule(LightningModule):
             history,
             goal,
             future,
-            static,
+            scenes,
             restore=self.perturb.restore,
             loss=difference,
         )
