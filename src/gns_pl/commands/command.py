@@ -103,6 +103,6 @@ def sweep_label() -> str:
     if hydra.mode != RunMode.MULTIRUN:
         return ""
     shared = set(hydra.job.config.override_dirname.exclude_keys)
-    swept = [each.lstrip("+").split("=", 1) for each in hydra.overrides.task]
-    swept = [each for each in swept if each[0] not in shared and not each[0].startswith("changes.")]
-    return file_label(*("_".join(each) for each in swept if each[0] != "scene"))  # a scene's own name tells it apart
+    swept = [pair.lstrip("+").split("=", 1) for pair in hydra.overrides.task]
+    swept = [pair for pair in swept if pair[0] not in shared and not pair[0].startswith("changes.")]
+    return file_label(*("_".join(pair) for pair in swept if pair[0] != "scene"))  # a scene's own name tells it apart

@@ -87,11 +87,11 @@ def options(config: Path, group: str) -> list[str]:
 
 
 def _unreadable(argument: str) -> str:
-    found = ASSIGNMENT.fullmatch(argument)
-    if found is None or not found["value"] or not re.fullmatch(r"[\w.@/$-]+", found["key"]):
+    match = ASSIGNMENT.fullmatch(argument)
+    if match is None or not match["value"] or not re.fullmatch(r"[\w.@/$-]+", match["key"]):
         return f"{argument!r} is not KEY=VALUE; write it without spaces around the =, and see --help for the keys."
-    typed = override(found["key"], found["value"])
-    return f"{argument}: the value cannot be read; if it is meant as text, type {found['plus']}{typed}"
+    typed = override(match["key"], match["value"])
+    return f"{argument}: the value cannot be read; if it is meant as text, type {match['plus']}{typed}"
 
 
 def _missing_option(error: MissingConfigException, config: Path) -> str:
@@ -118,7 +118,7 @@ def _usual(config: Path, arguments: Sequence[str]) -> DictConfig:
 
 def _groups(config: Path, arguments: Sequence[str]) -> Iterator[str]:
     defaults = default_groups(config)
-    for each in arguments:
-        found = ASSIGNMENT.fullmatch(each)
-        if found and found["key"] in defaults and found["value"] in options(config, found["key"]):
-            yield f"{found['key']}={found['value']}"
+    for argument in arguments:
+        match = ASSIGNMENT.fullmatch(argument)
+        if match and match["key"] in defaults and match["value"] in options(config, match["key"]):
+            yield f"{match['key']}={match['value']}"

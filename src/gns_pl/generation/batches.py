@@ -24,10 +24,10 @@ def run_batches(jobs: Sequence[Job]) -> Generator[tuple[int, Result | Failure], 
     Args:
         jobs: with one solver's settings and one frame interval.
     """
-    made = {index for index, job in enumerate(jobs) if job.is_made()}
-    for index in made:
+    finished = {index for index, job in enumerate(jobs) if job.is_made()}
+    for index in finished:
         yield index, attempt(measure_files, jobs[index])
-    sizes = {index: job.num_bytes for index, job in enumerate(jobs) if index not in made}
+    sizes = {index: job.num_bytes for index, job in enumerate(jobs) if index not in finished}
     for batch in group(sizes, BATCH_BYTES):
         scenes, seeds = [jobs[index].scene for index in batch], [jobs[index].seed for index in batch]
         first, start = jobs[batch[0]], time.perf_counter()

@@ -122,7 +122,10 @@ def read_timings(folder: Path) -> float | None:
     Args:
         folder: of the set, or of one of its stored lattices; one that was copied without its timings gives None.
     """
-    path = next((each / TIMINGS_NAME for each in (folder, folder.parent) if (each / TIMINGS_NAME).is_file()), None)
+    path = next(
+        (directory / TIMINGS_NAME for directory in (folder, folder.parent) if (directory / TIMINGS_NAME).is_file()),
+        None,
+    )
     if path is None:
         return None
     try:

@@ -126,14 +126,14 @@ def find_frames(path: str | Path) -> tuple[Path, TrajectoryHeader] | None:
         InputError: what stands at `path` itself is no trajectory.
     """
     path = Path(path)
-    found: list[tuple[Path, TrajectoryHeader]] = []
+    usable: list[tuple[Path, TrajectoryHeader]] = []
     for candidate in (path, path.with_name(path.name + _SET_ASIDE), path.with_name(path.name + GROWING)):
         if candidate.exists():
             # A growing file in which nothing can be read has nothing to lose.
             with nullcontext() if candidate == path else suppress(InputError):
                 header = replace(read_header(candidate), num_frames=_whole_frames(candidate))
-                found += [(candidate, header)] if header.num_frames else []
-    return max(found, key=lambda pair: pair[1].num_frames, default=None)
+                usable += [(candidate, header)] if header.num_frames else []
+    return max(usable, key=lambda pair: pair[1].num_frames, default=None)
 
 
 def _whole_frames(path: Path) -> int:
