@@ -96,7 +96,7 @@ def test_loggers_that_take_images_get_a_rollout_and_the_learning_curve(data_root
 def test_without_matplotlib_a_run_still_ends_well(
     data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for module in ("close", "rollout_figure"):
+    for module in ("run_summary", "rollout_figure"):
         monkeypatch.setattr(f"gns_pl.training.{module}.missing_packages", lambda: ["matplotlib"])
     train(with_images(make_config(data_root, tmp_path)), tmp_path, None)
     assert fake_logger.LOGGED == [] and not (tmp_path / "learning_curve.png").exists()
