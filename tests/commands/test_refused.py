@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import MissingConfigException
 from omegaconf import OmegaConf
 
-from gns_pl.commands.telling import sentence
+from gns_pl.commands.telling import error_message
 from gns_pl.io import write_manifest
 from gns_pl.text import did_you_mean, nearest
 from tests.commands.test_train import ROOT
@@ -222,5 +222,5 @@ def test_nearest_first() -> None:
 def test_a_plugin_that_is_missing_is_named(plugin: str, extra: str) -> None:
     """Hydra's error as it is where the plugin is not installed, which it may be here."""
     error = MissingConfigException(f"Could not find 'hydra/{plugin}'", f"hydra/{plugin}")
-    told = sentence(error, ["+experiment=quickstart"], ROOT / "conf/train.yaml")
+    told = error_message(error, ["+experiment=quickstart"], ROOT / "conf/train.yaml")
     assert told == f"hydra/{plugin} is not installed: pip install 'gns_pl[{extra}]'."

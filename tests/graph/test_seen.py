@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-
 from gns_pl.graph.seen import LEAST_SPREAD, QUANTILE, Seen, surroundings
 
 

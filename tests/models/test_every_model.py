@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.models.registry import MODELS, build_simulator, kind_of, register_model
 from gns_pl.models.simulator import Simulator
@@ -112,7 +112,7 @@ class TestEveryModel:
         assert torch.equal(again(history, make_static(NUMBER)), simulator(history, make_static(NUMBER)))
 
 
-def _double(static: Static) -> Static:
+def _double(static: SceneBatch) -> SceneBatch:
     floats = {each.name: getattr(static, each.name) for each in dataclasses.fields(static)}
     changed = {name: v.double() for name, v in floats.items() if isinstance(v, torch.Tensor) and v.is_floating_point()}
     return dataclasses.replace(static, **changed)

@@ -112,7 +112,7 @@ def judge_scene(
             "all": reference.complete,
         },
         "failed_at": failed_at,
-        "failure": None if failure is None else failure.sentence,
+        "failure": None if failure is None else failure.message,
         "reference": whole.summary,
         "learned": {quantity.name: flow[quantity.name] for quantity in SUMMARY},
         "no_motion": {quantity.name: still[quantity.name] for quantity in SUMMARY},

@@ -134,7 +134,7 @@ def describe(scene: Mapping[str, Any]) -> str:
     if scene["failed_at"] is not None:
         text += f" **The rollout failed: positions are not finite from t = {scene['failed_at']:.4g} s on.**"
     elif scene["failure"] is not None:
-        text += f" **No sand does this: {scene['failure']}.**"
+        text += f" **Unphysical state: {scene['failure']}.**"
     return text
 
 
@@ -156,19 +156,19 @@ def describe_start(model: Mapping[str, Any], given: int) -> str:
 
 def describe_mpm(scene: Mapping[str, Any]) -> str:
     """Return in words how the reference was made, where times were taken, and on which other cells it was run."""
-    made, points = scene["made_by"]["reference"], scene["reference_points"]
-    config, number_of = made.get("config", {}), f"all its {points['number']:,} points"
+    provenance, points = scene["made_by"]["reference"], scene["reference_points"]
+    config, number_of = provenance.get("config", {}), f"all its {points['number']:,} points"
     parts = [number_of if points["all"] else "the stored points alone, whose front is not that of all"]
     if "cell_size" in config:
         per = config["points_per_direction"]
         parts.append(f"cells of {config['cell_size']:.3g} m, {per} points per direction, Courant {config['courant']:g}")
-        parts.append(f"{config['precision']}, steps of {made['time_step']:.2e} s")
-    if "num_threads" in made:
-        parts.append(f"{made['num_threads']} threads of {made.get('machine', 'an unknown machine')}")
-    solver = str(made.get("solver", ""))
+        parts.append(f"{config['precision']}, steps of {provenance['time_step']:.2e} s")
+    if "num_threads" in provenance:
+        parts.append(f"{provenance['num_threads']} threads of {provenance.get('machine', 'an unknown machine')}")
+    solver = str(provenance.get("solver", ""))
     text = f"MPM: {'; '.join(parts)}."
     if solver.startswith("imported"):
-        text = f"Reference: {solver}, {made.get('source', '')}."
+        text = f"Reference: {solver}, {provenance.get('source', '')}."
     learned = scene["made_by"]["learned"]
     here = f"{learned.get('num_threads', '?')} threads of {learned.get('machine', 'an unknown machine')}"
     text += f" Learned: {learned.get('device', 'cpu')}, {here}."

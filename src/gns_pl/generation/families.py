@@ -136,7 +136,7 @@ def _given_family(spec: DatasetSpec, owner: str, name: str, first: int) -> list[
     if unknown or FROM_FILES not in family:
         what = f"unknown key {', '.join(unknown)}" if unknown else "missing key files"
         raise InputError(f"{owner}: {what}; a family of scenes has files, placements, valid, test.")
-    scenes = [scene_from_dict(each) for each in family[FROM_FILES]]
+    scenes = [scene_from_dict(content) for content in family[FROM_FILES]]
     for scene in scenes:
         downwards = (0.0,) * (scene.dim - 1) + (-float(spec.gravity),)
         if not np.allclose(scene.gravity, downwards, rtol=1e-9, atol=0):

@@ -122,7 +122,10 @@ def read_timings(folder: Path) -> float | None:
     Args:
         folder: of the set, or of one of its stored lattices; one that was copied without its timings gives None.
     """
-    path = next((each / TIMINGS_NAME for each in (folder, folder.parent) if (each / TIMINGS_NAME).is_file()), None)
+    path = next(
+        (directory / TIMINGS_NAME for directory in (folder, folder.parent) if (directory / TIMINGS_NAME).is_file()),
+        None,
+    )
     if path is None:
         return None
     try:
@@ -138,7 +141,7 @@ def write_failures(folder: Path, failures: Mapping[str, Failure]) -> None:
     if not failures:
         path.unlink(missing_ok=True)
     elif not any(failure.final for failure in failures.values()):
-        text = "\n".join(f"{name}: {failure.sentence}\n{failure.details}" for name, failure in failures.items())
+        text = "\n".join(f"{name}: {failure.message}\n{failure.details}" for name, failure in failures.items())
         write_atomically(path, text.encode())
 
 

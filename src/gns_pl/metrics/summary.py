@@ -1,6 +1,6 @@
 """One number per question: what a trajectory did (`summarise`), how far off a rollout is (`rollout_errors`).
 
-Pure NumPy, so that training can validate by rollout and the evaluate door judges by the very same numbers.
+Pure NumPy, so that training can validate by rollout and evaluate.py judges by the very same numbers.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def compare(
     errors = rollout_errors(predicted, reference, whole, given=given)
     distance = math.nan
     if errors["finite_fraction"] == 1:
-        flows = [mobile(cut(each, reference.num_frames)).position[-1] for each in (predicted, reference)]
+        flows = [mobile(cut(trajectory, reference.num_frames)).position[-1] for trajectory in (predicted, reference)]
         distance = measures.sinkhorn_distance(*flows) / measures.particle_spacing(mobile(reference))
     return {**errors, "sinkhorn": distance}
 
@@ -268,7 +268,7 @@ def flow_errors(predicted: Measured, reference: Measured) -> dict[str, float]:
 
 def profile_l1(predicted: Trajectory, reference: Trajectory) -> float:
     """Return ∫ |h − h_reference| dx / ∫ h_reference dx of the last frames (`measures.deposit_profile`)."""
-    width = PROFILE_BIN * max(measures.particle_spacing(each) for each in (predicted, reference))
+    width = PROFILE_BIN * max(measures.particle_spacing(trajectory) for trajectory in (predicted, reference))
     heights = [
         measures.deposit_profile(
             flow.position[-1].astype(np.float64), flow.mass.astype(np.float64), reference.scene, width

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
+from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph
 from gns_pl.graph.radius import advised_radius
 from gns_pl.io import atomic_path
 from gns_pl.nn import EncodeProcessDecode, in_float32
@@ -99,7 +99,7 @@ class Corrector(nn.Module):
             num_message_passing_steps=config.num_message_passing_steps,
         )
 
-    def forward(self, before: Tensor, position: Tensor, predicted: Tensor, static: Static) -> Tensor:
+    def forward(self, before: Tensor, position: Tensor, predicted: Tensor, static: SceneBatch) -> Tensor:
         """Return the velocities to add [N, D] [m/s].
 
         Args:

@@ -55,11 +55,11 @@ def existing_checkpoint(path: str | Path, also: Iterable[str] = ()) -> Path:
     Raises:
         InputError: there is none; names that may have been meant, and those that come with the package, are told.
     """
-    found = find_checkpoint(path)
-    if found.is_file():
-        return found
+    file = find_checkpoint(path)
+    if file.is_file():
+        return file
     known = sorted([*pretrained_names(), *ALIASES, *also])
-    beside = [str(each) for each in sorted(found.parent.glob("*.ckpt"))]
+    beside = [str(checkpoint) for checkpoint in sorted(file.parent.glob("*.ckpt"))]
     raise InputError(
         f"{path}: there is no such checkpoint{did_you_mean(str(path), [*known, *beside])}; "
         f"those that come with gns_pl are {', '.join(known)}."

@@ -112,11 +112,11 @@ def imported(name: str, kind: type[T], key: str, known: list[str]) -> type[T]:
     here = str(Path.cwd())
     sys.path.append(here)
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        target = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError) as error:
         raise InputError(f"{key}={name}: {error}; it is looked for among packages and in {here}.") from error
     finally:
         sys.path.remove(here)
-    if not (isinstance(found, type) and issubclass(found, kind)):
+    if not (isinstance(target, type) and issubclass(target, kind)):
         raise InputError(f"{key}={name}: is no subclass of {kind.__module__}.{kind.__name__}.")
-    return found
+    return target

@@ -102,7 +102,7 @@ def corrected_frames(
             predicted = run.position
             arrays = (torch.from_numpy(array.astype(np.float32)) for array in (before, position, predicted))
             with torch.inference_mode():
-                run.push(corrector(*arrays, static).numpy())
+                run.add_velocity(corrector(*arrays, static).numpy())
             before = position
         here = {"before": before, "frame": np.array(frame)}
         yield frame, run.position.astype(np.float32), lambda: {**run.saved(), **here}  # noqa: B023
@@ -144,5 +144,5 @@ def followed_run(
         if trust:
             learned = corrector(*map(torch.from_numpy, arrays[:3]), static).numpy()
             velocity = (1 - trust) * velocity + trust * learned
-        run.push(velocity)
+        run.add_velocity(velocity)
         before = position

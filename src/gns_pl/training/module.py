@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 from torch_geometric.data import Data
 
-from gns_pl.graph import Draws, Seen, Static
+from gns_pl.graph import SceneBatch, TrainingDistribution, WindowRandom
 from gns_pl.metrics.summary import rollout_errors
 from gns_pl.models.checkpoint import KEY, Checkpoint, checkpoint_entry
 from gns_pl.models.registry import build_simulator
@@ -25,9 +25,9 @@ from gns_pl.training.validation import MONITORED, STEP_SECONDS, ValidationTable
 from gns_pl.trajectory import Trajectory
 
 
-def static_of_batch(batch: Data) -> Static:
+def static_of_batch(batch: Data) -> SceneBatch:
     """Return the time-independent tensors of a PyG batch of windows."""
-    return Static(
+    return SceneBatch(
         particle_type=batch.particle_type,
         material=batch.material,
         volume=batch.volume,
@@ -79,7 +79,7 @@ class SimulatorModule(LightningModule):
         self.particles_per_window = particles_per_window
         self.seed = seed
         self.provenance = provenance
-        self.seen: Seen | None = None  # set once the statistics are; stored in the checkpoint
+        self.distribution: TrainingDistribution | None = None  # set once the statistics are; stored in the checkpoint
 
     def training_step(self, batch: Data, batch_index: int) -> dict[str, Tensor]:
         """Return "loss", that of this process's windows, and "joined", that of all processes' windows."""
@@ -101,17 +101,17 @@ class SimulatorModule(LightningModule):
         random batch would not be), and it is additive: the mean of the gradients of several processes with equally many
         windows each is the gradient of the joined batch, whatever the windows' sizes.
         """
-        static = static_of_batch(batch)
+        scenes = static_of_batch(batch)
         # A window's noise depends on the seed and its number alone: resumed or spread over processes, it is the same.
-        draws = Draws(self.seed, batch.number, static.batch)
+        random = WindowRandom(self.seed, batch.number, scenes.batch)
         length = self.simulator.config.input_sequence_length
         steps = self._unrolled(self.global_step)
         truth = batch.position[:, : length + steps]
         if self.optimisation["symmetry"]:
-            truth, static = sample_symmetry(truth, static, draws)
+            truth, scenes = sample_symmetry(truth, scenes, random)
         history, future = truth[:, :length], truth[:, length:]
-        history, goal = self.perturb(history, future[:, 0], static, draws)
-        moved, delta = static.moved, self.optimisation["huber_delta"]
+        history, goal = self.perturb(history, future[:, 0], scenes, random)
+        moved, delta = scenes.moved, self.optimisation["huber_delta"]
         parts = future.shape[2] * batch.num_graphs * self.particles_per_window
 
         def difference(predicted: Tensor, target: Tensor) -> Tensor:
@@ -127,7 +127,7 @@ class SimulatorModule(LightningModule):
             history,
             goal,
             future,
-            static,
+            scenes,
             restore=self.perturb.restore,
             loss=difference,
         )
@@ -182,10 +182,10 @@ class SimulatorModule(LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what `gns_pl.models.checkpoint` reads."""
         provenance = {**self.provenance, "steps": self.global_step}
-        clocks = [each for each in self.trainer.callbacks if isinstance(each, Stopwatch)]  # type: ignore[attr-defined]
+        clocks = [callback for callback in self.trainer.callbacks if isinstance(callback, Stopwatch)]  # type: ignore[attr-defined]
         if "cost" in provenance and clocks:
             provenance["cost"] = {**provenance["cost"], "train_seconds": clocks[0].seconds}
-        checkpoint[KEY] = checkpoint_entry(self.simulator, self.data, provenance, self.seen)
+        checkpoint[KEY] = checkpoint_entry(self.simulator, self.data, provenance, self.distribution)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Forget the time that earlier starts took: `trainer.max_time` is that of each start."""

@@ -26,13 +26,13 @@ from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.callbacks import StopAtSignal
 from gns_pl.training.checkpoints import LAST, best_checkpoint
 from gns_pl.training.clock import cost_of
-from gns_pl.training.close import close_run, run_files
 from gns_pl.training.config import TrainingConfig
-from gns_pl.training.devices import check_devices, is_rank_zero, together
+from gns_pl.training.devices import check_devices, end_together, is_rank_zero
+from gns_pl.training.distribution import measure_distribution
 from gns_pl.training.loggers import close_loggers, log_settings
 from gns_pl.training.module import SimulatorModule
-from gns_pl.training.resume import alone_in, go_on, steps_made
-from gns_pl.training.seen import measure_seen
+from gns_pl.training.resume import exclusive, go_on, steps_made
+from gns_pl.training.run_summary import close_run, run_files
 from gns_pl.training.summary import SUMMARY_FILE
 from gns_pl.training.trainer import build_trainer, quieten
 
@@ -69,7 +69,7 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     stop = StopAtSignal()
     trainer = build_trainer(cfg, output, steps, stop)
     check_devices(trainer, training.batch_size)
-    with together(trainer), alone_in(output) if is_rank_zero() else nullcontext():
+    with end_together(trainer), exclusive(output) if is_rank_zero() else nullcontext():
         seed_everything(settings["seed"], workers=True, verbose=False)
         directory = find_dataset(settings["data"], progress=is_rank_zero())
         datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
@@ -104,8 +104,8 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     if trainer.global_step < steps:
         print(f"Stopped after {trainer.global_step} of {steps} steps; to go on, add {go_on(output)}")
     results = (output / LAST, best_checkpoint(trainer), *run_files(output), *sorted(output.glob("csv/*/metrics.csv")))
-    made = [*filter(None, results), *sorted(output.glob("wandb/*run-*")), *sorted(output.glob("tensorboard/*"))]
-    print("Made:", *(path for path in made if path.exists()), sep="\n  ")
+    files = [*filter(None, results), *sorted(output.glob("wandb/*run-*")), *sorted(output.glob("tensorboard/*"))]
+    print("Made:", *(path for path in files if path.exists()), sep="\n  ")
     return output / LAST
 
 
@@ -217,7 +217,7 @@ def build_module(
     )
     if module.simulator.config.exact_steps:
         module.provenance["frame_statistics"] = moments  # digit for digit, as an export of the weights needs them
-    module.seen = measure_seen(
+    module.distribution = measure_distribution(
         module.simulator,
         datamodule.train_set,
         symmetry=training.optimisation.symmetry,

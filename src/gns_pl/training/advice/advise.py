@@ -17,7 +17,7 @@ from gns_pl.io import MANIFEST_NAME, Manifest, read_manifest
 from gns_pl.models.registry import simulator_config
 from gns_pl.text import command, override
 from gns_pl.training.advice import report
-from gns_pl.training.advice.numbers import compute_advice
+from gns_pl.training.advice.derived import compute_advice
 from gns_pl.training.advice.suggestions import suggest
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.train import check_model, choose_features
