@@ -20,7 +20,7 @@ CONFIG = CorrectorConfig(
     latent_size=8,
     num_mlp_layers=1,
     num_message_passing_steps=1,
-    slow=0.1,
+    velocity_threshold=0.1,
 )
 
 
