@@ -43,7 +43,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "evaluation": ("evaluate", "bands", "stress.suite", "chart.benchmark"),
     "viz": (),
     "inverse": ("deposit", "problem", "fit"),
-    "training": ("train", "config", "module", "correction", "sweep", "advice.advise"),
+    "training": ("train", "config", "module", "correction", "followed", "sweep", "advice.advise"),
     "data": ("datamodule", "windows", "statistics", "survey"),
     "convert": ("convert", "formats", "weights", "weights_export"),
     "graph": ("context",),

@@ -34,7 +34,7 @@ METADATA = "gns_pl"
 
 
 class Step(nn.Module):
-    """A simulator's step of one scene, with plain tensors in the place of `SceneBatch` and of the search for neighbours."""
+    """A simulator's step of one scene, with plain tensors in the place of `SceneBatch` and of the search."""
 
     def __init__(self, simulator: Simulator) -> None:
         super().__init__()

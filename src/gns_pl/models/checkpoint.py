@@ -20,7 +20,7 @@ from gns_pl.errors import InputError
 from gns_pl.graph import TrainingDistribution
 from gns_pl.io import atomic_path
 from gns_pl.models.registry import DEFAULT, build_simulator, kind_of
-from gns_pl.models.shipped import find_checkpoint
+from gns_pl.models.shipped import CORRECTOR, CORRECTOR_KIND, find_checkpoint
 from gns_pl.models.simulator import Simulator
 
 KEY = "gns_pl"
@@ -115,6 +115,11 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         raise InputError(
             f"{path}: was trained with other features of model.context (format {entry['format_version']}); "
             "train it anew."
+        )
+    if entry.get("kind") == CORRECTOR_KIND:
+        raise InputError(
+            f"{path}: is of the training of a corrector of coarse MPM, and no simulator; take the {CORRECTOR} file "
+            "beside it."
         )
     try:
         simulator = build_simulator({"kind": entry.get("kind", DEFAULT), **_current(entry["config"], path)})

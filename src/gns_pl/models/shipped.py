@@ -17,6 +17,9 @@ ALIASES = {"column-fast": "collapse", "column-fast-plane": "collapse_plane"}
 CORRECTOR = ".corrector"
 """Ending of the files that correct coarse MPM."""
 
+CORRECTOR_KIND = "corrector"
+"""model.kind of what corrects coarse MPM, in conf/model and in the checkpoints of its training."""
+
 
 def pretrained_names() -> list[str]:
     """Return the names that can stand in the place of a checkpoint's path."""
