@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,9 @@ from gns_pl.mpm.constitutive import material_row, update_stress
 from gns_pl.mpm.laws import LAWS, find_law, law_names
 from gns_pl.mpm.settings import solver_version
 from gns_pl.scene import Body, Wall
+from tests.extend.page import blocks
 from tests.mpm.conftest import make_box, make_mpm, make_sand
 
-PAGE = Path(__file__).parents[2] / "docs" / "extend.md"
 OWN = "own_laws.inertial_friction"
 ARGUMENTS = "pressure, root_j2, shear_rate, dt, shear, bulk, slope, intercept, dilation, tension"
 
@@ -37,11 +36,10 @@ def write_law(text: str) -> None:
 def own_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A working folder that holds the law of the page; returns its text."""
     monkeypatch.chdir(tmp_path)
-    section = PAGE.read_text(encoding="utf-8").split("## A material law")[1]
-    text = re.findall(r"```python\n(.*?)```", section, re.DOTALL)[0]
+    (text,) = blocks("A material law")
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # a file that changes within a second is read again
     write_law(text)
-    return str(text)
+    return text
 
 
 def step_of(law: str) -> Any:
