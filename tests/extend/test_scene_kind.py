@@ -95,7 +95,11 @@ def test_what_is_no_kind_is_told(changes: dict[str, Any], sentence: str) -> None
 @pytest.mark.parametrize(
     ("name", "changes", "sentence"),
     [
-        ("own_scenes.towers", {"width": 1}, r"scene\.width: towers has no such key; there are gravity, material, walls"),
+        (
+            "own_scenes.towers",
+            {"width": 1},
+            r"scene\.width: towers has no such key; there are gravity, material, walls",
+        ),
         ("own_scenes.nothing", {}, "scene 'nothing': own_scenes.nothing: "),
         ("own_scenes.missing", {}, "scene=own_scenes.missing: .* has no attribute 'missing'"),
         ("towers", {}, "towers: there is no such scene file"),

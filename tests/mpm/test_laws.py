@@ -114,7 +114,11 @@ def test_what_is_registered_goes_by_its_name(own_law: str, monkeypatch: pytest.M
         ("own_laws.law", "law = 1", "mpm.law=own_laws.law: is no function"),
         ("own_laws.law", "def law(pressure): return pressure, 1.0", "mpm.law=own_laws.law: "),
         ("own_laws.law", f"def law({ARGUMENTS}): return pressure", "mpm.law=own_laws.law: "),
-        ("own_laws.law", f"def law({ARGUMENTS}): return 1 / (dt - dt), 1.0", "fails on a plain state: division by zero"),
+        (
+            "own_laws.law",
+            f"def law({ARGUMENTS}): return 1 / (dt - dt), 1.0",
+            "fails on a plain state: division by zero",
+        ),
         ("own_laws.law", f"def law({ARGUMENTS}): return unknown(pressure), 1.0", "numba cannot compile it: .*unknown"),
         ("own_laws.law", f"def law({ARGUMENTS}): return pressure, float('nan')", "two finite numbers"),
     ],

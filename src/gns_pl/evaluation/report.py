@@ -24,7 +24,6 @@ FORMAT = "gns_pl evaluation"
 FORMAT_VERSION = 3
 
 
-
 def _label(label: str, quantity: Quantity) -> str:
     return label if quantity.unit == "1" else f"{label} [{quantity.unit}]"
 

@@ -135,14 +135,10 @@ SUMMARY: tuple[Metric, ...] = (
         label="mean height",
         error="final mean height, relative; −1 would be a pancake",
     ),
-    Metric(
-        "centre_of_mass_x", "m", "final mass-weighted mean distance from the x- wall", final("centre_of_mass_x")
-    ),
+    Metric("centre_of_mass_x", "m", "final mass-weighted mean distance from the x- wall", final("centre_of_mass_x")),
     Metric("kinetic_energy", "J", "final kinetic energy", final("kinetic_energy")),
     Metric("potential_energy", "J", "final potential energy", final("potential_energy")),
-    Metric(
-        "dissipated_energy", "J", "kinetic and potential energy lost from start to end", final("dissipated_energy")
-    ),
+    Metric("dissipated_energy", "J", "kinetic and potential energy lost from start to end", final("dissipated_energy")),
     Metric(
         "arrest_time",
         "τc",

@@ -1,6 +1,7 @@
 """One number per question: what a trajectory did (`summarise`), how far off a rollout is (`rollout_errors`).
 
-Which numbers there are stands in `quantities`, but for those that follow single particles, which are here. Pure NumPy, so that training can validate by rollout and the evaluate door judges by the very same numbers.
+Which numbers there are stands in `quantities`, but for those that follow single particles, which are here. Pure NumPy,
+so that training can validate by rollout and the evaluate door judges by the very same numbers.
 """
 
 from __future__ import annotations
@@ -196,8 +197,6 @@ def flow_errors(predicted: Measured, reference: Measured) -> dict[str, float]:
     Returns:
         The entries of `ERRORS` that follow no single particle, then the `SUMMARY` of `predicted`.
     """
-    errors = {
-        f"{metric.name}_error": metric.relative_error(predicted, reference) for metric in SUMMARY if metric.error
-    }
+    errors = {f"{metric.name}_error": metric.relative_error(predicted, reference) for metric in SUMMARY if metric.error}
     errors |= {comparison.name: comparison.compare(predicted, reference) for comparison in COMPARISONS}
     return errors | predicted.summary

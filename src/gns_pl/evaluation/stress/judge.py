@@ -189,4 +189,6 @@ def _solved(
         solver.solver_config(settings)  # refuses what no run could use
         data = {**sand, "walls": walls, "mpm": settings}
         words = ", ".join(f"{key} {value}" for key, value in (changes or {}).items()) or "as tuned"
-        yield Subject(name, _identity(solver.solver_version(settings), data, dim, interval, seed), words, data, interval)
+        yield Subject(
+            name, _identity(solver.solver_version(settings), data, dim, interval, seed), words, data, interval
+        )
