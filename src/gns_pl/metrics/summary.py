@@ -119,7 +119,8 @@ class Measured:
     def frames(self) -> list[int]:
         """At most `SPACING_FRAMES` frames, evenly spaced, first and last among them."""
         last = self.flow.num_frames - 1
-        return np.unique(np.linspace(0, last, min(SPACING_FRAMES, last + 1)).round().astype(int)).tolist()
+        evenly = np.linspace(0, last, min(SPACING_FRAMES, last + 1)).round().astype(int)
+        return [int(frame) for frame in np.unique(evenly)]
 
     @cached_property
     def nearest(self) -> list[measures.Floats]:

@@ -63,8 +63,8 @@ def open_vtk(path: Path, files: Sequence[Path], *, deck: Path | None = None) -> 
         return _open(series[number], stated.friction_angle_deg)
 
     names = tuple((each.split, each.name) for each in series)
-    notes = (*notes, *stated.notes)
-    return ForeignSet(kind, path, names, opener, replace(stated, notes=notes), si=deck is not None)
+    stated = replace(stated, notes=(*notes, *stated.notes))
+    return ForeignSet(kind, path, names, opener, stated, si=deck is not None)
 
 
 @contextmanager
