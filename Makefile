@@ -11,7 +11,7 @@ install: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "gns_pl needs Python 3.11 or newer; name one: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[viz,viz3d,notebooks,dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[viz,viz3d,export,notebooks,dev]'
 	@touch $@
 
 quickstart: $(STAMP)
@@ -21,9 +21,9 @@ quickstart: $(STAMP)
 test: $(STAMP)
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope
 
-# The wheel's commands and configuration in an empty folder, and the README's Python: slow tests, but of every push.
+# The wheel's commands and configuration in an empty folder, the README's Python and an exported step: slow tests, but of every push.
 package: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m slow tests/commands/test_cli.py tests/docs/test_python.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m slow tests/commands/test_cli.py tests/docs/test_python.py tests/convert/test_program.py
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow

@@ -9,7 +9,7 @@ as `simulate.py` does it. Errors are against all points of the MPM that taught i
 takes, so its page says the same: the mean over the placements, their standard deviation, the largest in brackets. A
 time is that of a whole column, neighbours and copies included: CPU seconds of one thread, the least of the six runs,
 since what else a machine does only adds to them. Tables go between marks in the files, so that the words around them
-stay.
+stay; a card's YAML head, which the Hugging Face Hub reads, is written anew.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import yaml
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
@@ -36,11 +37,12 @@ from gns_pl.io import file_sha256
 from gns_pl.machine import machine_name
 from gns_pl.metrics.summary import Measured
 from gns_pl.models.shipped import ALIASES, FOLDER, find_checkpoint, find_corrector
-from gns_pl.solvers.learned import CorrectedWay, FittedWay, LearnedWay
+from gns_pl.solvers.learned import CorrectedSolver, LearnedSolver, TrainedSolver
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results.csv"
 MODELS = ("column-fast", "column-fast-plane", "friction_plane", "corrected_plane")
+TAGS = ["granular-flow", "physics-simulation", "graph-neural-network", "material-point-method", "pytorch"]
 
 
 @dataclass(frozen=True)
@@ -95,14 +97,14 @@ def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
     rows: list[Row] = []
     for model in MODELS:
         trained = file_of(model)
-        way: FittedWay
+        way: TrainedSolver
         for split, named in (("test", "columns"), ("validation", "validation")):
             config = settings(named)
             evaluation = config["evaluation"]
             if trained.suffix == ".corrector":
-                way = CorrectedWay(model, trained)
+                way = CorrectedSolver(model, trained)
             else:
-                way = LearnedWay(model, trained, stabilise=config["stabilise"])
+                way = LearnedSolver(model, trained, stabilise=config["stabilise"])
             scenes = build_scenes(
                 evaluation["columns"], None, only=None, domain=evaluation["domain"],
                 duration=evaluation["duration"], interval=way.interval, data=way.data,
@@ -124,7 +126,7 @@ def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def judge(model: str, sha256: str, way: FittedWay, whole: Measured, seeds: Sequence[int], split: str) -> Row:
+def judge(model: str, sha256: str, way: TrainedSolver, whole: Measured, seeds: Sequence[int], split: str) -> Row:
     """Run a model on a column from all placements."""
     scene, runs, seconds = whole.trajectory.scene, [], []
     way.run(scene, interval=way.interval, seed=seeds[0])  # what is compiled at first use is not timed
@@ -182,15 +184,48 @@ def table(rows: Sequence[Row]) -> str:
 
 def tables(rows: Sequence[Row]) -> dict[Path, str]:
     """Return file → the table that stands in it: all of it, the test columns in the README, a model's on its card."""
-    cards = {FOLDER / f"{file_of(model).stem}.md": [row for row in rows if row.model == model] for model in MODELS}
+    cards = {card(model): [row for row in rows if row.model == model] for model in MODELS}
     parts = {ROOT / "docs" / "results.md": rows, ROOT / "README.md": [row for row in rows if row.split == "test"]}
     return {path: table(part) for path, part in (parts | cards).items()}
 
 
+def card(model: str) -> Path:
+    """Return the card of a model."""
+    return FOLDER / f"{file_of(model).stem}.md"
+
+
+def head(model: str, rows: Sequence[Row]) -> str:
+    """Return the YAML that stands between two lines of --- on top of a card, for the Hugging Face Hub.
+
+    It names no `datasets`: these are identifiers of the Hub, where ours are not.
+    """
+    names = {"runout": "final 99 % runout, error", "height": "final mean height, error", "profile": "profile, error"}
+    results = [
+        {
+            "task": {"type": "graph-ml", "name": "collapse of a column of dry sand"},
+            "dataset": {"type": row.scene, "name": row.scene.replace("_", ", a = "), "split": row.split},
+            "metrics": [{"type": key, "name": name, "value": getattr(row, key)} for key, name in names.items()],
+        }
+        for row in rows
+        if row.model == model
+    ]
+    metadata = {
+        "library_name": "gns_pl",
+        "license": "mit",
+        "pipeline_tag": "graph-ml",
+        "tags": TAGS,
+        "model-index": [{"name": card(model).stem, "results": results}],
+    }
+    return yaml.safe_dump(metadata, sort_keys=False, allow_unicode=True, width=120)
+
+
 def write_tables(rows: Sequence[Row]) -> None:
-    """Put the tables where they belong."""
+    """Put the tables where they belong, and the heads onto the cards."""
     for path, text in tables(rows).items():
         put(path, "models", text)
+    for model in MODELS:
+        body = re.sub(r"\A---\n.*?\n---\n", "", card(model).read_text(encoding="utf-8"), flags=re.S)
+        card(model).write_text(f"---\n{head(model, rows)}---\n{body}", encoding="utf-8")
 
 
 def put(path: Path, name: str, content: str) -> None:

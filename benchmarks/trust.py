@@ -30,7 +30,7 @@ from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.rollout import rollout
 from gns_pl.scene import Body, Material, Scene, Wall
 from gns_pl.scene.extent import characteristic_time
-from gns_pl.solvers.familiarity import familiarity
+from gns_pl.solvers.ood import compute_ood
 from gns_pl.training.seen import add_seen
 
 SAND = Material(
@@ -197,7 +197,7 @@ def judge(number: int, trial: Trial, checkpoint: Checkpoint, members: list[Check
     fine = thin_trajectory(whole, mpm, 0, every, [(every - 1) // 2] * 2)
     start, steps = cut(fine, 1), fine.num_frames - 1
     made, tau = rollout(checkpoint.simulator, start, steps), characteristic_time(scene)
-    seen = familiarity(checkpoint, made)
+    seen = compute_ood(checkpoint, made)
     if seen is None:
         raise SystemExit("this checkpoint does not say what it saw; see --add")
     ours, theirs = compute_curves(made), compute_curves(fine)
@@ -225,7 +225,7 @@ def judge(number: int, trial: Trial, checkpoint: Checkpoint, members: list[Check
         share=float(seen.share[early].max()), scene_beyond=int(bool(seen.reasons)),
         members=ensemble_bands([own, *(each.simulator for each in members)], [start], duration=duration).width / scale,
         placements=ensemble_bands([own], [start, *others], duration=duration).width / scale,
-        left=math.nan if seen.left_at is None else seen.left_at / tau,
+        left=math.nan if seen.exit_time is None else seen.exit_time / tau,
         wrong=first(np.abs(ours["runout_99"] - reference[:shown]) / scale > 0.1), lost=first(away > 2),
         frames=tau / interval,
     )  # fmt: skip

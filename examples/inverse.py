@@ -27,7 +27,7 @@ from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Fit, Problem, depo
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.mpm.settings import run_solver
 from gns_pl.scene import Material, Scene, Wall, cube_drop
-from gns_pl.solvers.simulate import start_of
+from gns_pl.solvers.learned import LearnedSolver
 
 STEPS = 60  # of 20 ms
 WIDTH = 0.05  # m, of the kernel; the particles are 0.031 m apart
@@ -63,7 +63,7 @@ def deposit_of_mpm(data: Mapping[str, Any], unknowns: np.ndarray, cell: float, s
 def problem_of(checkpoint: Checkpoint, observed: torch.Tensor) -> Problem:
     """Return what is asked of a learned simulator; it is shown the guess in the place of the truth."""
     scene = thrown(checkpoint.data, math.degrees(math.atan(GUESS[0])), GUESS[1])
-    start = start_of(scene, checkpoint, seed=0, provenance={})
+    start = LearnedSolver.of(checkpoint).start(scene)
     return Problem(checkpoint.simulator.requires_grad_(False), start, STEPS, PLACES, observed, WIDTH)
 
 

@@ -9,8 +9,8 @@ from tests.conftest import make_start
 
 
 def test_every_public_name_is_there() -> None:
-    for name in gns_pl.PUBLIC:
-        assert getattr(gns_pl, name).__name__ == name and name in dir(gns_pl)
+    for name, module in gns_pl.PUBLIC.items():
+        assert getattr(gns_pl, name).__name__ == (module.partition(":")[2] or name) and name in dir(gns_pl)
     assert not hasattr(gns_pl, "load_everything")
 
 

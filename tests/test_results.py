@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import yaml
 
 from gns_pl.io import file_sha256
 
@@ -38,11 +39,28 @@ def test_every_table_is_that_of_the_measurement(results: ModuleType) -> None:
         assert shown == table, f"{path}: python benchmarks/results.py --from-table"
 
 
+def test_every_card_has_the_head_that_the_hub_reads(results: ModuleType) -> None:
+    """With the keys that it documents, and those that a result has to have; the values are the measured ones."""
+    rows = results.read(results.RESULTS)
+    for model in results.MODELS:
+        text = results.card(model).read_text(encoding="utf-8")
+        assert text.startswith(f"---\n{results.head(model, rows)}---\n"), "python benchmarks/results.py --from-table"
+        metadata = yaml.safe_load(text.split("---\n")[1])
+        assert [metadata[key] for key in ("library_name", "license", "pipeline_tag")] == ["gns_pl", "mit", "graph-ml"]
+        [index] = metadata["model-index"]
+        assert index["name"] == results.card(model).stem
+        own = [row for row in rows if row.model == model]
+        for result, row in zip(index["results"], own, strict=True):
+            assert result["task"]["type"] == "graph-ml" and result["dataset"]["type"] == row.scene
+            assert result["dataset"]["name"] and result["dataset"]["split"] == row.split
+            assert {each["type"]: each["value"] for each in result["metrics"]}["runout"] == row.runout
+
+
 def test_no_card_gives_a_runout_error_besides_the_measured_table(results: ModuleType) -> None:
     """Numbers against the points that were kept stood there once, and said −1 % where all points say −14 %."""
     for model in results.MODELS:
-        card = results.FOLDER / f"{results.file_of(model).stem}.md"
-        text = re.sub(r"<!-- models -->.*<!-- /models -->", "", card.read_text(encoding="utf-8"), flags=re.DOTALL)
+        text = results.card(model).read_text(encoding="utf-8").split("---\n", 2)[2]
+        text = re.sub(r"<!-- models -->.*<!-- /models -->", "", text, flags=re.DOTALL)
         assert not re.search(r"runout[^.]*?[+−-]\d+(\.\d)? %", text), model
 
 

@@ -7,7 +7,7 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from gns_pl.text import file_label, number, override, percent, without_nan
+from gns_pl.text import command, did_you_mean, file_label, number, override, percent, seconds, use_program, without_nan
 from gns_pl.training.resume import go_on
 from gns_pl.training.summary import summary_lines
 
@@ -74,3 +74,36 @@ def test_what_is_not_finite_becomes_null() -> None:
         "b": {"c": None, "d": "NaN"},
         "e": 3,
     }
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        *((math.nan, "unknown"), (math.inf, "never"), (3.21e-6, "3.2 µs"), (0.00456, "4.6 ms"), (0.0123, "0.0123 s")),
+        *((59.94, "59.9 s"), (599, "599 s"), (600, "10 min"), (7384, "123 min")),
+    ],
+)
+def test_times_have_a_unit(value: float, text: str) -> None:
+    assert seconds(value) == text
+
+
+def test_a_percentage_has_its_scatter() -> None:
+    assert percent(-0.087, 0.029) == "-8.7 ± 2.9 %"
+    assert percent(0.0) == "+0.0 %"
+
+
+def test_commands_are_typed_as_this_program_was_started() -> None:
+    assert command("train") == "python train.py"
+    use_program("gns-pl {}")
+    try:
+        assert command("train") == "gns-pl train"
+    finally:
+        use_program("python {}.py")
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("sed", "seed"), ("ckp", "ckpt"), ("noise_sd", "noise_std"), ("zzz", None), ("", None)]
+)
+def test_a_name_that_may_have_been_meant(typed: str, meant: str | None) -> None:
+    suggestion = did_you_mean(typed, ["seed", "ckpt", "noise_std", "out"])
+    assert (meant in suggestion) if meant else (suggestion == "")

@@ -1,6 +1,8 @@
 """The rooms of the package for the API pages: which there are, what they export, and what a name in code means.
 
 Sources are read as text, so that nothing has to be installed to know it.
+
+    python docs/site/rooms.py [CHECKOUT …]    # lines of source and of tests by room, of this checkout and of others
 """
 
 from __future__ import annotations
@@ -8,7 +10,9 @@ from __future__ import annotations
 import ast
 import functools
 import re
+import sys
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "src/gns_pl"
@@ -23,8 +27,19 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "mpm": ("settings",),
     "models": ("simulator", "geoelements", "corrector", "registry", "checkpoint", "shipped"),
     "generation": (),
-    "rollout": ("gradient", "acceleration", "stabilise", "rest", "failure", "distributed"),
-    "solvers": ("simulate", "solver", "learned", "selection", "reduction", "correction", "familiarity"),
+    "rollout": ("gradient", "acceleration", "stabilise", "policy", "rest", "failure", "distributed"),
+    "solvers": (
+        "solver",
+        "mpm",
+        "learned",
+        "corrected",
+        "hybrid",
+        "catalogue",
+        "simulate",
+        "selection",
+        "reduction",
+        "ood",
+    ),
     "evaluation": ("evaluate", "bands", "stress.suite", "chart.benchmark"),
     "viz": (),
     "inverse": ("deposit", "problem", "fit"),
@@ -38,6 +53,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "errors": (),
     "machine": (),
     "text": (),
+    "presets": (),
 }
 
 
@@ -73,14 +89,18 @@ def first_sentence(room: str) -> str:
     return (ast.get_docstring(read_module(room)) or "").partition("\n\n")[0].replace("\n", " ")
 
 
-def floors_table() -> list[str]:
-    """Return CONTRIBUTING's table of floors, from the import contract in pyproject.toml, the ground floor last."""
+def floors() -> list[tuple[int, list[str]]]:
+    """Return every floor's number and rooms, from the import contract in pyproject.toml, the ground floor last."""
     project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
     (contract,) = project["tool"]["importlinter"]["contracts"]
+    layers = [layer.split(" | ") for layer in contract["layers"]]
+    return list(zip(reversed(range(len(layers))), layers, strict=True))
+
+
+def floors_table() -> list[str]:
+    """Return CONTRIBUTING's table of floors, the ground floor last."""
     rows = ["| floor | room | what it is for |", "|---|---|---|"]
-    for floor, rooms in zip(reversed(range(len(contract["layers"]))), contract["layers"], strict=True):
-        rows += [f"| {floor} | `{room}` | {first_sentence(room)} |" for room in rooms.split(" | ")]
-    return rows
+    return rows + [f"| {floor} | `{room}` | {first_sentence(room)} |" for floor, rooms in floors() for room in rooms]
 
 
 def api_index() -> str:
@@ -147,3 +167,26 @@ def undocumented(html: str, room: str) -> list[str]:
     exported = exports(read_module(room))
     # A function with the name of its module is where that is, if ROOMS has it.
     return [name for name in exported if not re.search(rf'id="gns_pl\.{room}\.(?:{name}\.)?{name}"', html)]
+
+
+def lines_by_room(folder: Path) -> Counter[str]:
+    """Return the lines of Python below a folder, by the first part of the path: of `src/gns_pl` or of `tests`."""
+    lines: Counter[str] = Counter()
+    for path in folder.rglob("*.py"):
+        room = path.relative_to(folder).parts[0].removesuffix(".py").removeprefix("test_")
+        lines[room] += len(path.read_text(encoding="utf-8").splitlines())
+    return lines
+
+
+def lines_table(checkouts: list[Path]) -> list[str]:
+    """Return a table of lines: a row for each room, and for each checkout its source and, after a +, its tests."""
+    counted = [(lines_by_room(path / "src/gns_pl"), lines_by_room(path / "tests")) for path in checkouts]
+    rooms = sorted({room for source, _ in counted for room in source})
+    head = [f"| room | {' | '.join(path.name for path in checkouts)} |", "|---" * (len(checkouts) + 1) + "|"]
+    rows = [(room, [(source[room], tests[room]) for source, tests in counted]) for room in rooms]
+    rows.append(("all", [(source.total(), tests.total()) for source, tests in counted]))
+    return head + [f"| {room} | {' | '.join(f'{a:,} + {b:,}' for a, b in numbers)} |" for room, numbers in rows]
+
+
+if __name__ == "__main__":
+    print("\n".join(lines_table([PACKAGE.parents[1], *map(Path, sys.argv[1:])])))

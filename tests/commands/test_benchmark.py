@@ -15,7 +15,7 @@ from tests.commands.in_process import ROOT, call
 TINY = [
     "choice.learned=[]",
     "choice.corrected=[]",
-    "choice.handed={}",
+    "choice.hybrid={}",
     "choice.cells=[3,4]",
     "trivial.cells=3",
     "reference.plane.cells_per_metre=[12,9]",

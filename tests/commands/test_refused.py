@@ -109,7 +109,7 @@ WRONG = [
     ("simulate", (*RUN, "scene.aspect_ratio=null"), "aspect_ratio must be a number, not None."),
     ("simulate", ("ckpt=[a,b]", "scene=column_collapse"), "ckpt=a,b: a run takes one checkpoint; -m ckpt=A,B makes"),
     ("simulate", (*RUN, "seed=abc"), "seed must be a number, not 'abc'."),
-    ("simulate", (*RUN, "watch=3"), "watch must be true or false, not 3."),
+    ("simulate", (*RUN, "monitor=3"), "monitor must be true or false, not 3."),
     (
         "simulate",
         (*RUN, "acceleration=3"),

@@ -15,7 +15,7 @@ from tests.commands.typed import typed
 from tests.conftest import make_simulator
 
 SCENE = str(ROOT / "scenes/two_blocks.yaml")
-SHORT = ("device=cpu", "watch=false", "duration=0.02")
+SHORT = ("device=cpu", "monitor=false", "duration=0.02")
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +35,7 @@ def test_changed_scenes_have_names_of_their_own(capsys: pytest.CaptureFixture[st
         assert run.status == 0, run.err
     assert "already complete" in run.out  # the third is the first
     changes = ("scene.bodies.1.velocity=[1,0,0]", "scene.walls.x+.friction=0.2", "scene.duration=0.01")
-    run = typed(capsys, "simulate", "ckpt=a=b.ckpt", f"scene={SCENE}", *changes, "device=cpu", "watch=false")
+    run = typed(capsys, "simulate", "ckpt=a=b.ckpt", f"scene={SCENE}", *changes, "device=cpu", "monitor=false")
     assert run.status == 0, run.err
     names = [Path(name).name for name in files(folder)]
     assert names[:2] == ["column_collapse_aspect_ratio_0.5.h5", "column_collapse_aspect_ratio_0.75.h5"]

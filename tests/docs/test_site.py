@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from matplotlib import font_manager
+from PIL import ImageFont
 
 ROOT = Path(__file__).parents[2]
 
@@ -15,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs/site"))  # as MkDocs does for its hooks
 pages = importlib.import_module("pages")
 rooms = importlib.import_module("rooms")
+architecture = importlib.import_module("architecture")
 
 
 def in_navigation(entry: object) -> list[str]:
@@ -98,3 +101,19 @@ def test_contributing_shows_the_floors_of_the_import_contract() -> None:
     table = rooms.floors_table()
     assert shown == table, "\n".join(["CONTRIBUTING.md must hold", *table])
     assert {row.split("`")[1] for row in table[2:]} == set(rooms.ROOMS)
+
+
+def test_the_picture_of_the_architecture_is_up_to_date() -> None:
+    picture = architecture.architecture()
+    assert architecture.FILE.read_text(encoding="utf-8") == picture, "python docs/site/architecture.py writes it anew"
+    names = re.findall(r'class="room"[^>]*>(\w+)<', picture)
+    assert names == [room for _, there in rooms.floors() for room in there]
+
+
+def test_every_line_of_the_picture_fits_a_telephone() -> None:
+    picture = architecture.architecture()
+    assert architecture.WIDTH <= 390
+    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 11.5)  # the widest of those it asks for
+    texts = re.findall(r'<text x="(\d+)"[^>]*>([^<]+)<', picture)
+    assert len(texts) > len(rooms.ROOMS)
+    assert max(int(left) + font.getlength(text) for left, text in texts) < architecture.WIDTH - architecture.MARGIN

@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-import gns_pl.rollout
-import gns_pl.solvers.solver
+import gns_pl.solvers.mpm
 from gns_pl.evaluation import speed
 from gns_pl.evaluation.references import Reference
 from gns_pl.metrics.curves import compute_curves
 from gns_pl.metrics.summary import Measured
 from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.mpm.config import SimulationError
+from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.trajectory import Trajectory
 from tests.conftest import make_simulator
 from tests.evaluation.made_up import column, spreading
@@ -38,8 +38,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
 
     class MPM:
-        def __init__(self, name: str, cells: float, settings: dict[str, Any]) -> None:
-            self.cell = round(gns_pl.solvers.solver.characteristic_size(column()) / cells, 4)
+        def __init__(self, name: str, cells: float, settings: dict[str, Any], cell_size: float) -> None:
+            self.cell = round(cell_size, 4)
 
         def run(self, scene: Any, *, interval: float, seed: int) -> Trajectory:
             clock.calls.append((self.cell, round(scene.duration / interval), seed))
@@ -48,22 +48,22 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
                 raise SimulationError("unstable")
             return spreading(scene, 30, share=SHARES[self.cell])
 
-    def rollout(simulator: Any, start: Trajectory, num_steps: int, *, given: int) -> Trajectory:
+    def run(self: LearnedSolver, start: Trajectory, *, num_steps: int, given: int, monitor: bool) -> Trajectory:
         clock.calls.append(("learned", num_steps, given))
         seconds = 50.0 if sum(name == "learned" for name, *_ in clock.calls) == 1 else 0.25
         made = {"wall_seconds": seconds, "device": "cpu", "num_threads": 1, "machine": "this one"}
         return replace(start, provenance=made)
 
     monkeypatch.setattr(speed, "perf_counter", clock)
-    monkeypatch.setattr(gns_pl.solvers.solver, "MPMWay", MPM)
-    monkeypatch.setattr(gns_pl.rollout, "rollout", rollout)
+    monkeypatch.setattr(gns_pl.solvers.mpm, "MPMSolver", MPM)
+    monkeypatch.setattr(LearnedSolver, "run", run)
     return clock
 
 
 def timed(errors: list[float | None]) -> dict[str, Any] | None:
     whole = spreading(column(), 30)
     checkpoint = Checkpoint(make_simulator(dt=0.02), {"mpm": {"cell_size": 0.1}}, {})
-    return speed.measure_speed(Reference(whole, Measured(whole)), checkpoint, errors, stabilise={}, given=1, seed=4)
+    return speed.measure_speed(Reference(whole, Measured(whole)), LearnedSolver.of(checkpoint), errors, given=1, seed=4)
 
 
 def test_the_rival_is_the_cheapest_as_accurate_and_both_are_warm(clock: Clock) -> None:

@@ -19,7 +19,7 @@ from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, Planned, chosen_every, draw_plan
 from gns_pl.mpm.settings import solver_config
 from gns_pl.scene import Plane, Wall, fill_scene, read_scene, write_scene
-from gns_pl.solvers.training_range import beyond
+from gns_pl.solvers.training_range import out_of_range
 from tests.generation.fake import BLOCKS, DROPS, MPM, make_spec
 
 
@@ -324,6 +324,6 @@ def test_given_scenes_that_cannot_be_learned_are_told(tmp_path: Path) -> None:
 def test_what_given_scenes_hold_is_within_their_range(tmp_path: Path) -> None:
     spec = DatasetSpec.from_dict(make_spec(families={"mine": given(tmp_path)}))
     scene = plan()[0].scene
-    assert list(beyond(scene, spec.to_dict())) == []
+    assert list(out_of_range(scene, spec.to_dict())) == []
     body = replace(scene.bodies[0], size=tuple(0.5 * edge for edge in scene.bodies[0].size))
-    assert next(beyond(scene.replace(bodies=(body,)), spec.to_dict())).startswith("saw lengths from")
+    assert next(out_of_range(scene.replace(bodies=(body,)), spec.to_dict())).startswith("saw lengths from")

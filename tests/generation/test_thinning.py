@@ -1,4 +1,4 @@
-"""Every k-th lattice point: which points are kept, and that the bodies go on weighing what they weigh."""
+"""Every k-th lattice point: which points are kept, and that the bodies go on weighing what they estimate."""
 
 from __future__ import annotations
 

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gns_pl.fields import ParticleType
 from gns_pl.metrics import rollout_errors, summarise
+from gns_pl.metrics import summary as summary_module
 from gns_pl.metrics.curves import CURVES, cut
-from gns_pl.metrics.summary import COMPARISON, ERRORS, SUMMARY
+from gns_pl.metrics.summary import COMPARISON, ERRORS, SUMMARY, Measured, compare
 from tests.evaluation.made_up import HEIGHT, SPACING, moved, spreading, standing
 
 ALL = [quantity.name for quantity in (*ERRORS, *SUMMARY)]
@@ -110,3 +112,41 @@ def test_every_number_is_documented() -> None:
     lines = (Path(__file__).parents[2] / "docs" / "evaluation.md").read_text(encoding="utf-8").splitlines()
     for quantity in (*CURVES, *SUMMARY, *COMPARISON):
         assert f"| `{quantity.name}` | {quantity.unit} | {quantity.meaning} |" in lines
+
+
+def test_a_trajectory_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+    plain = summary_module.compute_curves
+    monkeypatch.setattr(summary_module, "compute_curves", lambda flow: (calls.append(flow), plain(flow))[1])
+    measured = Measured(spreading())
+    assert measured.summary["runout_99"] == measured.curves["runout_99"][-1] == measured.summary["runout_99"]
+    assert len(calls) == 1 and calls[0] is measured.flow
+
+
+def test_what_is_measured_is_the_flow_without_kinematic_particles() -> None:
+    flow = spreading()
+    types = flow.particle_type.copy()
+    far = flow.position[-1, :, 0] > np.median(flow.position[-1, :, 0])
+    types[far] = int(ParticleType.KINEMATIC)
+    mixed = Measured(replace(flow, particle_type=types))
+    assert mixed.flow.num_particles == (~far).sum()
+    assert mixed.summary["runout_max"] < Measured(flow).summary["runout_max"]
+
+
+def test_transport_is_nothing_for_the_same_and_unknown_for_a_run_that_ended() -> None:
+    flow = spreading(frames=6)
+    same, short = compare(flow, flow), compare(cut(flow, 3), flow)
+    assert same["sinkhorn"] == pytest.approx(0, abs=0.05) and list(same) == [*ALL, "sinkhorn"]
+    assert np.isnan(short["sinkhorn"]) and short["finite_fraction"] == 0.5
+
+
+def test_against_all_points_a_rollout_of_some_has_the_runout_of_some() -> None:
+    """Every other particle of the reference is rolled out; fronts are compared with those of all."""
+    whole = spreading(frames=20)
+    some = np.arange(0, whole.num_particles, 2)
+    names = ("particle_type", "material", "mass", "initial_velocity")
+    half = replace(whole, position=whole.position[:, some], **{name: getattr(whole, name)[some] for name in names})
+    alone, against_all = rollout_errors(half, half), rollout_errors(half, half, Measured(whole))
+    assert alone["runout_99_error"] == 0 and alone["position_error"] == against_all["position_error"] == 0
+    own, wanted = Measured(half).curves["runout_99"][-1], Measured(whole).curves["runout_99"][-1]
+    assert against_all["runout_99_error"] == pytest.approx(own / wanted - 1)

@@ -21,7 +21,7 @@ def test_each_has_a_card_and_its_provenance(name: str, tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     checkpoint = load_checkpoint(name)
     assert checkpoint.provenance["config"]["name"] == name and checkpoint.provenance["steps"] > 0
-    assert (FOLDER / f"{name}.md").read_text(encoding="utf-8").startswith(f"# {name}\n")
+    assert (FOLDER / f"{name}.md").read_text(encoding="utf-8").split("---\n", 2)[2].startswith(f"# {name}\n")
     assert find_checkpoint(name).stat().st_size < 1e7
 
 
@@ -29,7 +29,7 @@ def test_each_has_a_card_and_its_provenance(name: str, tmp_path: Path, monkeypat
 def test_each_corrector_has_a_card_and_its_provenance(path: Path) -> None:
     file = load_corrector(find_corrector(path.stem))
     assert file.provenance["steps"] > 0 and file.data["families"]
-    assert (FOLDER / f"{path.stem}.md").read_text(encoding="utf-8").startswith(f"# {path.stem}\n")
+    assert (FOLDER / f"{path.stem}.md").read_text(encoding="utf-8").split("---\n", 2)[2].startswith(f"# {path.stem}\n")
     assert path.stat().st_size < 1e7
 
 

@@ -11,11 +11,11 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
 from gns_pl.scene import Body, Box, Plane, Scene, Wall
-from gns_pl.solvers.catalogue import check_path, simulate_by_choice
 from gns_pl.solvers.measured_range import setup_of, setup_text, unmeasured_reasons
+from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.reduction import to_plane
-from gns_pl.solvers.selection import RECORDS, choose, read_records, table, weigh
-from gns_pl.solvers.solver import MPMWay
+from gns_pl.solvers.selection import RECORDS, choose, estimate, read_records, table
+from gns_pl.solvers.simulate import check_path, simulate_by_choice
 from tests.solvers.test_selection import MPM, ROUGH, SLIP, column
 
 CLAY = replace(column().materials["sand"], friction_angle_deg=10.0, cohesion=1000.0)
@@ -105,19 +105,19 @@ def test_old_tables_promise_nothing(tmp_path: Path) -> None:
     (tmp_path / "old.csv").write_text("\n".join(lines) + "\n")
     records = read_records(tmp_path / "old.csv")
     assert len(records) == len(read_records(RECORDS)) and records[0].setup == ""
-    (option,) = weigh(measured_column(), [MPMWay("mpm_10.2", 10.2, MPM)], records)
+    (option,) = estimate(measured_column(), [MPMSolver("mpm_10.2", 10.2, MPM)], records)
     assert option.error is None and "does not say on which scenes" in str(option.unmeasured)
 
 
 @pytest.mark.parametrize("make", [sand_over_clay, lambda: scaled(100.0)])
 def test_no_error_is_promised_where_none_was_measured(make: Callable[[], Scene]) -> None:
     """Sand over clay errs by 10.7 % where 4.8 % were promised, and 30 m of E = 2 MPa sink by a tenth."""
-    scene, ways = make(), [MPMWay(f"mpm_{cells:g}", cells, MPM) for cells in (5.09, 12.7, 20.4)]
-    options = weigh(scene, ways, read_records(RECORDS))
+    scene, ways = make(), [MPMSolver(f"mpm_{cells:g}", cells, MPM) for cells in (5.09, 12.7, 20.4)]
+    options = estimate(scene, ways, read_records(RECORDS))
     assert [each.error for each in options] == [None] * 3 and all(each.seconds for each in options)
     assert "unmeasured" in table(options, scene) and "%" not in table(options, scene)
     chosen, why = choose(options, 0.1)
-    assert chosen.way.name == "mpm_12.7" and "the error on this scene is unmeasured (measured with" in why
+    assert chosen.solver.name == "mpm_12.7" and "the error on this scene is unmeasured (measured with" in why
     with pytest.raises(
         InputError, match=r"on the scenes that were measured; the smallest .* is 0\.031 \(by mpm_20\.4\)"
     ):
@@ -130,29 +130,26 @@ def test_the_packages_columns_are_within_their_own_range() -> None:
     for ratio, length in ((0.8, 0.475), (3.0, 0.25), (1.5, 0.35)):
         body = Body((0, 0, 0), (length, 0.5, ratio * length), (0, 0, 0))
         scene = column().replace(upper=(2.5, 0.5, 1.1), bodies=(body,), materials={"sand": sand})
-        (option,) = weigh(with_time(scene), [MPMWay("mpm_12.7", 12.7, MPM)], records)
+        (option,) = estimate(with_time(scene), [MPMSolver("mpm_12.7", 12.7, MPM)], records)
         assert option.error == pytest.approx(0.048, abs=5e-4)
 
 
 def test_two_sizes_of_cells_check_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    settings = {"learned": [], "corrected": [], "handed": {}, "cells": [4.0], "mpm": MPM, "records": None}
-    settings |= {"duration": None, "seed": 0, "rest_speed": 0.0, "stabilise": {}, "frame_interval": 0.05}
-    (path,) = simulate_by_choice(
-        [column()], out=tmp_path, tolerance=None, explain=False, way="mpm", check=True, **settings
-    )
+    choice = {"cells": [4.0], "mpm": MPM, "frame_interval": 0.05}
+    (path,) = simulate_by_choice([column()], out=tmp_path, choice=choice, solver="mpm", check=True)
     fine, coarse = read_trajectory(path), read_trajectory(check_path(path))
     cells = [each.provenance["mpm"]["cell_size"] for each in (fine, coarse)]  # type: ignore[index]
     assert cells == pytest.approx([0.075, 0.1125])
     assert "chosen: mpm_4, as asked for; its error on this scene is unmeasured" in capsys.readouterr().out
-    with pytest.raises(InputError, match="of another scene, way, settings"):
-        other = settings | {"mpm": MPM | {"courant": 0.3}}
-        simulate_by_choice([column()], out=tmp_path, tolerance=None, explain=False, way="mpm", **other)
+    with pytest.raises(InputError, match="of another scene, solver or checkpoint, settings"):
+        other = choice | {"mpm": MPM | {"courant": 0.3}}
+        simulate_by_choice([column()], out=tmp_path, choice=other, solver="mpm")
     for options, sentence in (
-        ({"way": "mpm", "cell_size": -1.0}, "cell_size"),
-        ({"way": "mpm_4", "cell_size": 0.1}, "cell_size= is that of solver=mpm, not of mpm_4"),
-        ({"way": "nothing"}, "there is no nothing; there are mpm, mpm_4, collapse,"),
-        ({"way": "mpm", "device": "tpu"}, "device must be one of"),
+        ({"solver": "mpm", "cell_size": -1.0}, "cell_size"),
+        ({"solver": "mpm_4", "cell_size": 0.1}, "cell_size= is that of solver=mpm, not of mpm_4"),
+        ({"solver": "nothing"}, "there is no nothing; there are mpm, mpm_4, collapse,"),
+        ({"solver": "mpm", "device": "tpu"}, "device must be one of"),
     ):
         with pytest.raises(InputError, match=sentence):
-            simulate_by_choice([column()], out=tmp_path / "none", tolerance=None, explain=False, **settings | options)
+            simulate_by_choice([column()], out=tmp_path / "none", choice=choice, **options)
     assert not (tmp_path / "none").exists()

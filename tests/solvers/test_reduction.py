@@ -11,7 +11,7 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.mpm.settings import run_solver
 from gns_pl.scene import FACES, Body, Box, Plane, Scene, Wall, column_collapse
-from gns_pl.solvers.reduction import reduce_scene, to_half, to_plane, why_not_mirror, why_not_plane
+from gns_pl.solvers.reduction import not_mirror_reason, not_plane_reason, reduce_scene, to_half, to_plane
 from tests.conftest import SAND
 
 ROUGH, SLIP = Wall("friction", 0.385), Wall("slip")
@@ -37,10 +37,10 @@ def column(sides: Wall, **changes: object) -> Scene:
 
 def test_a_column_between_smooth_walls_is_in_plane_strain() -> None:
     scene = column(SLIP)
-    assert why_not_plane(scene) is None
+    assert not_plane_reason(scene) is None
     reduced = reduce_scene(scene)
     assert reduced.scene.dim == 2 and reduced.scene.bodies[0].size == (0.3, 0.45)
-    assert "plane strain" in reduced.words
+    assert "plane strain" in reduced.description
     assert reduced.scene.walls == {"x-": ROUGH, "x+": Wall("stick"), "z-": ROUGH, "z+": ROUGH}
 
 
@@ -64,7 +64,7 @@ def test_across_x_as_well() -> None:
 )
 def test_no_plane_strain_and_why(changes: dict[str, object], reason: str) -> None:
     scene = column(SLIP, **changes)
-    assert reason in str(why_not_plane(scene))
+    assert reason in str(not_plane_reason(scene))
     with pytest.raises(InputError, match=reason):
         to_plane(scene)
     assert reduce_scene(scene).scene.dim == 3
@@ -97,7 +97,7 @@ def test_half_a_column_makes_the_column() -> None:
     scene = column(ROUGH)
     reduced = reduce_scene(scene)
     assert reduced.scene.upper == (1.5, 0.25, 0.7) and reduced.scene.walls["y+"] == SLIP
-    assert "mirror plane in the middle of y" in reduced.words
+    assert "mirror plane in the middle of y" in reduced.description
     whole = run_solver(scene, SETTINGS, frame_interval=0.02, seed=0)
     lifted = reduced.lift(run_solver(reduced.scene, SETTINGS, frame_interval=0.02, seed=0))
     assert lifted.num_particles == whole.num_particles and lifted.scene == scene
@@ -109,7 +109,7 @@ def test_half_a_column_makes_the_column() -> None:
 def test_two_bodies_that_mirror_each_other_become_one() -> None:
     left, right = Body((0.1, 0, 0.1), (0.2, 0.5, 0.2), (1, 0, 0)), Body((1.2, 0, 0.1), (0.2, 0.5, 0.2), (-1, 0, 0))
     scene = column(ROUGH, walls=dict.fromkeys(FACES[3], ROUGH), bodies=(left, right))
-    assert why_not_mirror(scene, 0) is None
+    assert not_mirror_reason(scene, 0) is None
     half = to_half(scene, 0)
     assert half.scene.bodies == (left,) and half.scene.upper[0] == 0.75
     both = reduce_scene(scene).scene
@@ -135,7 +135,7 @@ def test_no_mirror_and_why(changes: dict[str, object], reason: str) -> None:
 def test_what_cannot_be_reduced_stays_whole() -> None:
     scene = column(ROUGH, bodies=(Body((0, 0.1, 0), (0.3, 0.2, 0.4), (0, 0, 0)),))
     reduced = reduce_scene(scene)
-    assert reduced.scene is scene and reduced.words == ""
+    assert reduced.scene is scene and reduced.description == ""
     start = run_solver(scene.replace(duration=0.02), SETTINGS, frame_interval=0.02, seed=0)
     assert np.array_equal(reduced.lift(start).position, start.position)
     assert dataclasses.asdict(reduced.lift(start).scene) == dataclasses.asdict(scene)

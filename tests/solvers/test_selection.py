@@ -1,4 +1,4 @@
-"""Which way is taken for a scene, and why another is not."""
+"""Which solver is taken for a scene, and why another is not."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from gns_pl.io import read_trajectory
 from gns_pl.machine import available_cores
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.scene import FACES, Body, Plane, Scene, Wall, column_collapse
-from gns_pl.solvers.catalogue import make_ways, simulate_by_choice
-from gns_pl.solvers.learned import HandedWay, LearnedWay
+from gns_pl.solvers.catalogue import make_solvers
+from gns_pl.solvers.hybrid import HybridSolver
+from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.measured_range import setup_text
-from gns_pl.solvers.selection import RECORDS, Record, choose, kind_of, read_records, table, weigh
-from gns_pl.solvers.solver import MPMWay, characteristic_size
+from gns_pl.solvers.mpm import MPMSolver
+from gns_pl.solvers.selection import RECORDS, Record, choose, estimate, kind_of, read_records, table
+from gns_pl.solvers.simulate import simulate_by_choice
+from gns_pl.solvers.solver import characteristic_size
 from tests.conftest import MPM as mpm_settings
 from tests.conftest import SAND, make_simulator
 
@@ -52,29 +55,29 @@ def column(ratio: float = 1.0, sides: Wall = SLIP, **changes: object) -> Scene:
 
 
 @pytest.fixture
-def learned(tmp_path: Path) -> LearnedWay:
+def learned(tmp_path: Path) -> LearnedSolver:
     simulator = make_simulator(dim=2, spacing=0.05, connectivity_radius=0.1, latent_size=16)
     path = tmp_path / "flat.ckpt"
     save_checkpoint(path, Checkpoint(simulator, DATA, {}))
-    return LearnedWay("flat", path)
+    return LearnedSolver("flat", path)
 
 
-def record(way: str, kind: str, error: float, seconds: float, work: float = 1e6) -> Record:
+def record(solver: str, kind: str, error: float, seconds: float, work: float = 1e6) -> Record:
     """A measured run of `column`, between smooth or rough side walls."""
     setup = setup_text(column(sides=SLIP if kind == "plane" else ROUGH))
-    return Record(way, kind, "column", error, 0.0, 0.0, 0.0, seconds, work, 100, 1, "somewhere", setup=setup)
+    return Record(solver, kind, "column", error, 0.0, 0.0, 0.0, seconds, work, 100, 1, "somewhere", setup=setup)
 
 
-def test_a_scene_like_the_data_is_trusted_in_its_slice(learned: LearnedWay) -> None:
+def test_a_scene_like_the_data_is_trusted_in_its_slice(learned: LearnedSolver) -> None:
     scene = column(1.5)
-    assert kind_of(scene) == "plane" and learned.why_not(scene) is None
+    assert kind_of(scene) == "plane" and learned.unsupported_reason(scene) is None
     assert learned.reduced(scene).scene.dim == 2
     made = learned.run(scene, interval=0.004, seed=0)
     assert made.scene == scene and made.num_frames == 51
     assert made.mass.sum() == pytest.approx(1800 * 0.3 * 0.5 * 0.45, rel=1e-5)
 
 
-def test_a_run_that_stops_being_finite_ends_there(learned: LearnedWay) -> None:
+def test_a_run_that_stops_being_finite_ends_there(learned: LearnedSolver) -> None:
     torch.nn.init.constant_(learned.checkpoint.simulator.network.decoder[-1].bias, 1e30)
     made = learned.run(column(), interval=0.004, seed=0)
     assert "failed_at" in made.provenance and made.num_frames < 51
@@ -107,39 +110,39 @@ def test_a_run_that_stops_being_finite_ends_there(learned: LearnedWay) -> None:
         ),
     ],
 )
-def test_a_scene_beyond_the_data_is_refused_with_the_reason(scene: Scene, reason: str, learned: LearnedWay) -> None:
-    assert reason in str(learned.why_not(scene))
+def test_a_scene_outside_the_data_is_refused_with_the_reason(scene: Scene, reason: str, learned: LearnedSolver) -> None:
+    assert reason in str(learned.unsupported_reason(scene) or learned.out_of_range_reason(scene))
 
 
-def test_the_friction_angle_may_lie_in_the_range_of_the_data(learned: LearnedWay, tmp_path: Path) -> None:
+def test_the_friction_angle_may_lie_in_the_range_of_the_data(learned: LearnedSolver, tmp_path: Path) -> None:
     families = {name: {**each, "friction_angle_deg": [20, 45]} for name, each in DATA["families"].items()}
     save_checkpoint(
         tmp_path / "flat.ckpt", Checkpoint(learned.checkpoint.simulator, {**DATA, "families": families}, {})
     )
-    several = LearnedWay("flat", tmp_path / "flat.ckpt")
+    several = LearnedSolver("flat", tmp_path / "flat.ckpt")
     for angle, reason in ((40, None), (50, "friction angles were 20 to 45")):
         sand = SAND.__class__(**{**vars(SAND), "friction_angle_deg": angle})
-        found = several.why_not(column(materials={"sand": sand}))
+        found = several.out_of_range_reason(column(materials={"sand": sand}))
         assert found is None if reason is None else reason in str(found)
 
 
 def test_mpm_runs_the_slice_and_its_cells_grow_with_the_bodies() -> None:
-    way = MPMWay("mpm", 6.0, MPM)
+    solver = MPMSolver("mpm", 6.0, MPM)
     scene = column(1.0)
     assert characteristic_size(scene) == pytest.approx(0.3)
-    assert way.settings_of(scene)["cell_size"] == pytest.approx(0.05)
-    made = way.run(scene, interval=0.02, seed=0)
-    points, _ = way.size(scene)
+    assert solver.settings_of(scene)["cell_size"] == pytest.approx(0.05)
+    made = solver.run(scene, interval=0.02, seed=0)
+    points, _ = solver.size(scene)
     assert points == 144 and made.num_particles == 144 * 20
-    assert way.work(scene) == math.prod(way.size(scene))
-    whole = MPMWay("mpm", 6.0, MPM, reduces=False)
+    assert solver.cost(scene) == math.prod(solver.size(scene))
+    whole = MPMSolver("mpm", 6.0, MPM, reduces=False)
     assert whole.size(scene)[0] == 144 * 20
 
 
-def test_the_cheapest_that_is_accurate_enough(learned: LearnedWay) -> None:
+def test_the_cheapest_that_is_accurate_enough(learned: LearnedSolver) -> None:
     scene = column()
-    ways = [learned, MPMWay("coarse", 5, MPM), MPMWay("fine", 20, MPM)]
-    work = {way.name: way.work(scene) for way in ways}
+    solvers = [learned, MPMSolver("coarse", 5, MPM), MPMSolver("fine", 20, MPM)]
+    work = {solver.name: solver.cost(scene) for solver in solvers}
     records = [
         record("flat", "plane", -0.04, 0.2, work["flat"]),
         record("flat", "plane", 0.02, 0.2, work["flat"]),
@@ -147,51 +150,40 @@ def test_the_cheapest_that_is_accurate_enough(learned: LearnedWay) -> None:
         record("fine", "plane", 0.01, 3.0, work["fine"]),
         record("fine", "space", 0.01, 9.0, work["fine"]),
     ]
-    options = weigh(scene, ways, records)
-    assert [each.way.name for each in options] == ["coarse", "flat", "fine"]
+    options = estimate(scene, solvers, records)
+    assert [each.solver.name for each in options] == ["coarse", "flat", "fine"]
     assert [each.error for each in options] == [0.3, 0.04, 0.03]
     for tolerance, name, words in (
         (0.05, "flat", "cheapest of 2"),
         (0.03, "fine", "of 1"),
     ):
         chosen, why = choose(options, tolerance)
-        assert chosen.way.name == name and words in why
+        assert chosen.solver.name == name and words in why
     assert "30.0 %" in table(options, scene)
     with pytest.raises(InputError, match=r"tolerance=0\.001: .* the smallest tolerance that can be met is 0\.03 "):
         choose(options, 0.001)
     twice = [*records, Record(**{**vars(records[3]), "threads": 2, "seconds": 1.0, "runout_error": 0.02})]
-    [fine] = [each for each in weigh(scene, ways, twice) if each.way.name == "fine"]
+    [fine] = [each for each in estimate(scene, solvers, twice) if each.solver.name == "fine"]
     assert fine.error == 0.03 and fine.seconds == pytest.approx(3.0 if available_cores() == 1 else 1.0)
-    options = weigh(column(sides=ROUGH), ways, records)
+    options = estimate(column(sides=ROUGH), solvers, records)
     chosen, why = choose(options, 0.5)
-    assert chosen.way.name == "fine" and "outside the range of every learned solver" in why
+    assert chosen.solver.name == "fine" and "outside the range of every learned solver" in why
     assert "not: is of plane strain" in table(options, column(sides=ROUGH))
     assert f"{'coarse':24} not: was not measured" in table(options, column(sides=ROUGH))
     with pytest.raises(InputError, match="tolerance must be positive"):
         choose(options, 0.0)
-    with pytest.raises(InputError, match="no way was measured"):
-        choose(weigh(scene, ways, []), 0.1)
+    with pytest.raises(InputError, match="no solver was measured"):
+        choose(estimate(scene, solvers, []), 0.1)
 
 
 def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     measured = tmp_path / "records.csv"
     measured.write_text(
-        "way,kind,scene,runout_error,curve_error,height_error,profile_error,seconds,work,particles,threads,device,setup\n"
+        "solver,kind,scene,runout_error,curve_error,height_error,profile_error,seconds,work,particles,threads,device,setup\n"
         'mpm_5,plane,c,0.1,0,0,0,1.0,1000000,100,1,here,"' + setup_text(column()).replace('"', '""') + '"\n'
     )
-    settings = {
-        "duration": None,
-        "seed": 0,
-        "learned": [],
-        "corrected": [],
-        "handed": {},
-        "way": None,
-        "cells": [5],
-        "mpm": MPM,
-        "rest_speed": 0.0,
-        "stabilise": {},
-    }
-    settings |= {"frame_interval": 0.05, "records": str(measured), "explain": False}
+    choice = {"cells": [5], "mpm": MPM, "frame_interval": 0.05, "records": str(measured)}
+    settings = {"choice": choice}
     out = tmp_path / "out"
     (path,) = simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
     made = read_trajectory(path)
@@ -201,26 +193,26 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "here, 1 threads" in said
     simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
     assert "already complete" in capsys.readouterr().out
-    with pytest.raises(InputError, match="of another scene, way, settings, frame interval or seed"):
+    with pytest.raises(InputError, match="of another scene, solver or checkpoint, settings"):
         simulate_by_choice([column(1.2)], out=out, tolerance=0.2, **settings)
     with pytest.raises(InputError, match="frame interval"):
-        simulate_by_choice([column()], out=out, tolerance=0.2, **settings | {"frame_interval": 0.1})
+        simulate_by_choice([column()], out=out, tolerance=0.2, choice=choice | {"frame_interval": 0.1})
     with pytest.raises(InputError, match="two scenes have the same name"):
         simulate_by_choice([column(), column()], out=out, tolerance=0.2, **settings)
-    assert simulate_by_choice([column()], out=tmp_path / "none", tolerance=None, **settings | {"explain": True}) == []
+    assert simulate_by_choice([column()], out=tmp_path / "none", tolerance=None, explain=True, **settings) == []
     assert not (tmp_path / "none").exists()
 
 
 def test_the_packages_records_are_of_its_ways() -> None:
     records = read_records(RECORDS)
     assert {each.kind for each in records} == {"plane", "space"}
-    assert {"collapse", "collapse_plane", "corrected_plane"} <= {each.way for each in records}
+    assert {"collapse", "collapse_plane", "corrected_plane"} <= {each.solver for each in records}
     assert all(np.isfinite(each.runout_error) and each.seconds > 0 for each in records)
     with pytest.raises(InputError, match="is no table"):
         read_records(Path("nowhere.csv"))
     with pytest.raises(InputError, match=r"there is no checkpoint nothing\.ckpt"):
-        make_ways(["nothing.ckpt"], [], {}, [], MPM)
-    with pytest.raises(InputError, match=r"choice\.handed\.x: needs learned, until, not learned"):
-        make_ways([], [], {"x": {"learned": "collapse_plane"}}, [], MPM)
-    (way,) = make_ways([], [], {"x": {"learned": "collapse_plane", "until": 1}}, [], MPM)
-    assert isinstance(way, HandedWay) and way.settings["cell_size"] == pytest.approx(1 / 16)
+        make_solvers({"learned": ["nothing.ckpt"]})
+    with pytest.raises(InputError, match=r"choice\.hybrid\.x: needs learned, until, not learned"):
+        make_solvers({"hybrid": {"x": {"learned": "collapse_plane"}}})
+    (solver,) = make_solvers({"hybrid": {"x": {"learned": "collapse_plane", "until": 1}}})
+    assert isinstance(solver, HybridSolver) and solver.settings["cell_size"] == pytest.approx(1 / 16)

@@ -20,9 +20,10 @@ from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.rollout import rollout
 from gns_pl.rollout.rest import STEPS
 from gns_pl.scene import Scene, write_scene
-from gns_pl.solvers.simulate import simulate, start_of
+from gns_pl.solvers.learned import LearnedSolver
 from tests.commands.in_process import ROOT, call
 from tests.conftest import make_simulator
+from tests.solvers.simulated import simulate_learned
 
 DATA = {"mpm": {"jitter": 0.6}, "store_every": [3]}
 
@@ -34,28 +35,28 @@ def ckpt(tmp_path: Path) -> Path:
 
 
 def test_every_scene_gets_its_file(ckpt: Path, drop: Scene, column: Scene, tmp_path: Path) -> None:
-    paths = simulate(ckpt, [drop, column.replace(duration=0.05)], out=tmp_path / "out", device="cpu")
+    paths = simulate_learned(ckpt, [drop, column.replace(duration=0.05)], out=tmp_path / "out")
     assert [path.name for path in paths] == ["cube_drop.h5", "column_collapse.h5"]
     first, second = (read_trajectory(path) for path in paths)
     assert (first.num_frames, second.num_frames) == (21, 6)
     checkpoint = Checkpoint(make_simulator(), DATA, {})
-    start = start_of(drop, checkpoint, 0, {})
+    start = LearnedSolver.of(checkpoint).start(drop)
     alone = rollout(checkpoint.simulator, start, 20)
     np.testing.assert_allclose(first.position, alone.position, atol=2e-6)
     assert first.provenance["checkpoint"] == "some.ckpt" and first.scene == drop
 
 
 def test_the_jitter_is_that_of_the_data(ckpt: Path, drop: Scene) -> None:
-    start = start_of(drop, Checkpoint(make_simulator(), DATA, {}), 0, {})
-    regular = start_of(drop, Checkpoint(make_simulator(), {}, {}), 0, {})
+    start = LearnedSolver.of(Checkpoint(make_simulator(), DATA, {})).start(drop)
+    regular = LearnedSolver.of(Checkpoint(make_simulator(), {}, {})).start(drop)
     off = (start.position - regular.position) / 0.05
     assert 0.09 < np.abs(off).max() <= 0.1  # 0.6 / 3 of half a spacing
 
 
 def test_longer_goes_on_and_shorter_is_there(ckpt: Path, drop: Scene, tmp_path: Path, capsys: object) -> None:
-    simulate(ckpt, [drop], out=tmp_path / "whole", device="cpu")
+    simulate_learned(ckpt, [drop], out=tmp_path / "whole")
     for duration in (0.07, 0.2, 0.1):
-        simulate(ckpt, [drop], out=tmp_path / "parts", duration=duration, device="cpu")
+        simulate_learned(ckpt, [drop], out=tmp_path / "parts", duration=duration)
     whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "parts"))
     np.testing.assert_array_equal(parts.position, whole.position)
     assert parts.scene == whole.scene
@@ -64,7 +65,7 @@ def test_longer_goes_on_and_shorter_is_there(ckpt: Path, drop: Scene, tmp_path: 
 def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     write_scene(drop, tmp_path / "drop.yaml")
     command = [sys.executable, "simulate.py", f"ckpt={ckpt}", f"scene={tmp_path / 'drop.yaml'}", "duration=0.6"]
-    command += [f"out={tmp_path / 'out'}", "device=cpu", "watch=false"]
+    command += [f"out={tmp_path / 'out'}", "device=cpu", "monitor=false"]
     growing = tmp_path / "out" / "cube_drop.h5.growing"
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
     while process.poll() is None and (not growing.exists() or (find_frames(tmp_path / "out" / "cube_drop.h5") is None)):
@@ -74,16 +75,16 @@ def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "after" in said or "already complete" in said
     stable = {"sleep": 0.1, "least_distance": 0.2, "passive": True}  # conf/rollout/stable.yaml
-    simulate(ckpt, [drop], out=tmp_path / "whole", duration=0.6, device="cpu", watch=False, stabilise=stable)
+    simulate_learned(ckpt, [drop], out=tmp_path / "whole", duration=0.6, monitor=False, stabilise=stable)
     whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "out"))
     np.testing.assert_allclose(parts.position, whole.position, atol=1e-6)
 
 
 def test_a_run_killed_before_its_file_had_its_name_gets_it(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
-    (path,) = simulate(ckpt, [drop], out=tmp_path, device="cpu")
+    (path,) = simulate_learned(ckpt, [drop], out=tmp_path)
     whole = read_trajectory(path)
     path.rename(tmp_path / "cube_drop.h5.growing")
-    simulate(ckpt, [drop], out=tmp_path, device="cpu")
+    simulate_learned(ckpt, [drop], out=tmp_path)
     np.testing.assert_array_equal(read_trajectory(path).position, whole.position)
     assert not (tmp_path / "cube_drop.h5.growing").exists()
 
@@ -92,7 +93,7 @@ def test_a_long_history_is_taken_up_whole(drop: Scene, tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "long.ckpt", Checkpoint(make_simulator(input_sequence_length=14), {}, {}))
     for out, durations in (("whole", [0.2]), ("parts", [0.16, 0.2])):
         for duration in durations:
-            simulate(tmp_path / "long.ckpt", [drop], out=tmp_path / out, duration=duration, device="cpu")
+            simulate_learned(tmp_path / "long.ckpt", [drop], out=tmp_path / out, duration=duration)
     whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "parts"))
     np.testing.assert_array_equal(parts.position, whole.position)
 
@@ -117,16 +118,16 @@ def test_torchrun_shares_a_run_out(ckpt: Path, column: Scene, tmp_path: Path) ->
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "simulate.py"]
     command += [f"ckpt={ckpt}", f"scene={tmp_path / 'column.yaml'}", f"out={tmp_path / 'two'}", "device=cpu"]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
-    simulate(ckpt, [column], out=tmp_path / "one", device="cpu")
+    simulate_learned(ckpt, [column], out=tmp_path / "one")
     one, two = (read_trajectory(tmp_path / name / "column_collapse.h5") for name in ("one", "two"))
     np.testing.assert_allclose(two.position[:10], one.position[:10], atol=1e-5)
 
 
 def test_a_file_of_another_run_is_refused_and_kept(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
-    (path,) = simulate(ckpt, [drop], out=tmp_path, device="cpu")
+    (path,) = simulate_learned(ckpt, [drop], out=tmp_path)
     before = path.read_bytes()
-    with pytest.raises(InputError, match=r"cube_drop\.h5: is of another scene, checkpoint, seed"):
-        simulate(ckpt, [drop], out=tmp_path, seed=1, device="cpu")
+    with pytest.raises(InputError, match=r"cube_drop\.h5: is of another scene, solver or checkpoint, settings"):
+        simulate_learned(ckpt, [drop], out=tmp_path, seed=1)
     assert path.read_bytes() == before
 
 
@@ -136,16 +137,16 @@ def test_what_fails_is_told_and_not_tried_again(
     simulator = make_simulator()
     simulator.acceleration_scale.fill_(1e38)
     save_checkpoint(tmp_path / "wild.ckpt", Checkpoint(simulator, {}, {}))
-    (path,) = simulate(tmp_path / "wild.ckpt", [drop], out=tmp_path, device="cpu")
+    (path,) = simulate_learned(tmp_path / "wild.ckpt", [drop], out=tmp_path)
     assert "unphysical state: positions were no longer finite at 0.01 s; run stopped" in capsys.readouterr().out
     assert read_trajectory(path).provenance["failed_at"] == 0.01
-    simulate(tmp_path / "wild.ckpt", [drop], out=tmp_path, device="cpu")
+    simulate_learned(tmp_path / "wild.ckpt", [drop], out=tmp_path)
     assert "complete until it failed at 0.01 s" in capsys.readouterr().out
 
 
 def test_two_scenes_of_one_name(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="same name"):
-        simulate(ckpt, [drop, drop], out=tmp_path)
+        simulate_learned(ckpt, [drop, drop], out=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +154,7 @@ def test_two_scenes_of_one_name(ckpt: Path, drop: Scene, tmp_path: Path) -> None
     [
         (["ckpt=collapse"], "give scene= and either ckpt= or tolerance="),
         (["scene=column_collapse"], "give scene= and either ckpt= or tolerance="),
-        (["scene=column_collapse", "ckpt=collapse", "tolerance=0.1"], "names the way already"),
+        (["scene=column_collapse", "ckpt=collapse", "tolerance=0.1"], "names the solver already"),
         (["scene=nowhere.yaml", "tolerance=0.1"], "nowhere.yaml"),
         (
             ["ckpt=nothing", "scene=a.yaml"],
@@ -171,13 +172,14 @@ def test_bad_input_is_one_sentence(arguments: list[str], sentence: str, tmp_path
 def test_a_scene_at_rest_ends_and_says_so(
     ckpt: Path, drop: Scene, column: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    settings = {"out": tmp_path, "device": "cpu", "rest_speed": 1e3}  # every speed is below it
-    first, second = simulate(ckpt, [drop, column.replace(duration=0.03)], **settings)
+    settings = {"out": tmp_path, "rest_speed": 1e3}  # every speed is below it
+    first, second = simulate_learned(ckpt, [drop, column.replace(duration=0.03)], **settings)
     made, short = read_trajectory(first), read_trajectory(second)
     assert made.num_frames == STEPS + 1 and made.provenance["at_rest_from"] == pytest.approx(STEPS * 0.01)
     assert short.num_frames == 4 and "at_rest_from" not in short.provenance
-    assert "6 frames, at rest from 0.05 s" in capsys.readouterr().out
-    simulate(ckpt, [drop], **settings)
+    printed = capsys.readouterr().out
+    assert "6 frames in " in printed and "s, at rest from 0.05 s" in printed
+    simulate_learned(ckpt, [drop], **settings)
     assert "complete until it came to rest at 0.05 s" in capsys.readouterr().out
 
 

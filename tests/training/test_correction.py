@@ -15,7 +15,7 @@ from gns_pl.mpm.settings import run_solver
 from gns_pl.rollout import static_of
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.solvers.correction import corrected_run, followed_run
-from gns_pl.solvers.learned import CorrectedWay
+from gns_pl.solvers.learned import CorrectedSolver
 from gns_pl.training.correction import CorrectionModule, fit_corrector, make_examples, runout_errors
 from gns_pl.trajectory import Trajectory
 from tests.conftest import MPM, SAND
@@ -144,8 +144,8 @@ def test_fitting_finds_what_a_coarse_run_misses(tmp_path: Path, fine: Trajectory
     ]
     left, whole = (sum(float(each[k].detach().square().sum()) for each in missed) for k in (0, 1))
     assert left < 0.8 * whole  # on a column it was not fitted to
-    way = CorrectedWay("tiny", path)
-    assert way.why_not(column()) is None
+    way = CorrectedSolver("tiny", path)
+    assert way.unsupported_reason(column()) is None
     made = way.run(column(), interval=0.01, seed=1)
     assert made.num_frames == 101 and way.size(column())[1] == 50
     with pytest.MonkeyPatch.context() as patch:  # a second run goes on from the first, which was finished

@@ -24,7 +24,7 @@ LISTS = ("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.correct
 
 NAMES = (
     *("resume", "data.root", "out", "cache", "source", "target", "deck", "records", "publish"),
-    *("weights.metadata", "weights.data", "choice.records", "choice.handed.*.learned", "hydra.run.dir"),
+    *("weights.metadata", "weights.data", "choice.records", "choice.hybrid.*.learned", "hydra.run.dir"),
     *(
         "hydra.sweep.dir",
         "hydra.sweep.subdir",

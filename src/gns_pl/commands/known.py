@@ -21,7 +21,7 @@ from gns_pl.text import did_you_mean
 OPEN = (
     *("data.families", "data.walls", "data.mpm", "data.material", "data.store_every", "data.every", "data.root"),
     *("model", "changes", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
-    *("evaluation.stress.variants", "evaluation.stress.sand", "choice.handed", "choice.mpm", "costs", "variants"),
+    *("evaluation.stress.variants", "evaluation.stress.sand", "choice.hybrid", "choice.mpm", "costs", "variants"),
     *("side_walls", "wall", "material", "types", "sand", "paper", "mpm"),
 )
 """Where keys may be added, left out and be null; what reads them checks them."""
@@ -30,7 +30,7 @@ UNTYPED = ("trainer", "callbacks", "logger", "hydra")
 """Arguments of other packages, which check them."""
 
 EMPTY = (
-    *("stabilise", "acceleration", "side_walls", "choice.handed", "costs", "types", "ckpt", "batches.sizes"),
+    *("stabilise", "acceleration", "side_walls", "choice.hybrid", "costs", "types", "ckpt", "batches.sizes"),
     *("evaluation.spread", "evaluation.snapshots", "evaluation.columns.*", "evaluation.stress.variants.*"),
 )
 """Lists and mappings that may be null."""
@@ -40,7 +40,7 @@ NUMBERS = (
     "training.optimisation.huber_delta",
 )
 TEXTS = (
-    *("way", "out", "choice.records", "records", "publish", "source", "target", "deck", "data.root", "resume"),
+    *("solver", "out", "choice.records", "records", "publish", "source", "target", "deck", "data.root", "resume"),
     *("weights.metadata", "weights.data", "weights.edge_update", "evaluation.split"),
     *("evaluation.film", "evaluation.stress.label"),
 )

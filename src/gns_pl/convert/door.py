@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 WEIGHTS = (".pt", ".pth")
 CHECKPOINT = ".ckpt"
+PROGRAMS = (".pt2", ".onnx")
 
 
 def convert_config(cfg: DictConfig) -> None:
@@ -30,6 +31,10 @@ def convert_config(cfg: DictConfig) -> None:
             f"which source and target? {command('convert')} source=FOLDER target=datasets/NAME, or inspect=true"
         )
     settings.pop("sand")
+    part = settings.pop("part")
+    if not inspect and Path(target).suffix in PROGRAMS:
+        _export_program(source, Path(target), part)
+        return
     weights, of_files = settings.pop("weights"), {key: settings.pop(key) for key in ("trust", "deck", "lost")}
     if Path(source).suffix in (*WEIGHTS, CHECKPOINT):
         _convert_weights(Path(source), None if inspect else Path(target), settings, weights)
@@ -54,6 +59,18 @@ def convert_config(cfg: DictConfig) -> None:
     if settings["to"] == "gns_pl":
         radius = advised_radius_of(read_manifest(path))
         print(f"To train on it: {command('train')} {override('data', path)} model.connectivity_radius={radius:g}")
+
+
+def _export_program(source: str, target: Path, part: str) -> None:
+    from gns_pl.models.shipped import existing_checkpoint, is_corrector
+
+    if is_corrector(source):
+        raise InputError(f"{source}: corrects MPM and makes no step by itself; only simulators are exported.")
+    path = existing_checkpoint(source)
+    from gns_pl.convert.program import export_program
+    from gns_pl.models.checkpoint import load_simulator
+
+    print(f"Made: {export_program(load_simulator(path), target, part=part)}")
 
 
 def _convert_weights(source: Path, target: Path | None, settings: dict[str, Any], weights: dict[str, Any]) -> None:

@@ -63,7 +63,7 @@ def ensemble_bands(
 
     Args:
         steppers: of several trainings, or one; snapshots of one training are too much alike (docs/trust.md).
-        starts: one scene placed once or several times (`solvers.learned.start_of` with several seeds), one frame each.
+        starts: one scene placed once or several times (`LearnedSolver.start` with several seeds), one frame each.
         duration: to the last frame [s].
         name: in `CURVES`.
 

@@ -58,7 +58,7 @@ def check_space(*, film: bool) -> None:
     """Raise an `InputError` if the packages that draw in three dimensions are missing."""
     from importlib.util import find_spec
 
-    missing = [name for name in ("pyvista", *(("imageio",) if film else ())) if find_spec(name) is None]
+    missing = [name for name in ("pyvista", *(("imageio_ffmpeg",) if film else ())) if find_spec(name) is None]
     if missing:
         raise InputError(f"evaluation.film and paraview need {' and '.join(missing)}: pip install 'gns_pl[viz3d]'")
 

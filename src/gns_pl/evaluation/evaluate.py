@@ -164,7 +164,9 @@ def evaluate(
     from gns_pl.evaluation.references import STARTS, reference_of, stored_references
     from gns_pl.models.checkpoint import load_checkpoint, move
     from gns_pl.models.geoelements import cold_start
-    from gns_pl.solvers.learned import plane_of
+    from gns_pl.rollout.policy import Policy
+    from gns_pl.solvers.learned import LearnedSolver
+    from gns_pl.solvers.trained import reduction_for
 
     if film not in (None, "mp4", "gif"):
         raise InputError(f"evaluation.film must be mp4, gif or null, not {film!r}.")
@@ -199,13 +201,14 @@ def evaluate(
         frames = stored[key].trajectory.num_frames if key in stored else round(scene.duration / config.dt) + 1
         if frames <= given:
             raise InputError(f"scene {key!r} has {frames} frames, too few to go on from {given} (evaluation.start).")
-        sliced = plane_of(scene, config.dim)
-        if sliced.words:
-            print(f"{key}: judged in two dimensions, {sliced.words}")
+        sliced = reduction_for(scene, config.dim)
+        if sliced.description:
+            print(f"{key}: judged in two dimensions, {sliced.description}")
         built[key] = sliced.scene
     make_folder(out)
     move(checkpoint, device, "evaluation.device")
     print(report.describe_start(config.to_dict(), given))
+    solver = LearnedSolver.of(checkpoint, name, Policy(stabilise))
     results, files = {}, []
     for key, scene in built.items():
         source = "MPM (computed once, then cached)" if split is None else "the stored trajectory"
@@ -213,7 +216,7 @@ def evaluate(
         reference = stored.get(key) or reference_of(
             scene, checkpoint, cache=cache, seed=seed, cells=spread, placements=placements, given=given
         )
-        result = judge_scene(key, reference, checkpoint, stabilise=stabilise, given=given)
+        result = judge_scene(key, reference, solver, given=given)
         results[key] = result
         if speed:
             from gns_pl.evaluation.speed import measure_speed
@@ -221,7 +224,7 @@ def evaluate(
             placed = result.report["placements"]["runout_99_error"]
             errors = placed or [result.report["errors"]["learned"]["runout_99_error"]]
             print(f"{key}: times of the learned runs and of MPM …", flush=True)
-            timed = measure_speed(reference, checkpoint, errors, stabilise=stabilise, given=given, seed=seed)
+            timed = measure_speed(reference, solver, errors, given=given, seed=seed)
             result.report["speed"] = timed
         files.append(out / f"curves_{key}.csv")
         write_curves(files[-1], result.curves)

@@ -35,7 +35,7 @@ def draw(
     Returns:
         Paths of the files.
     """
-    from gns_pl.solvers.familiarity import LIMIT
+    from gns_pl.solvers.ood import LIMIT
     from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
 
     curves = {name: {TITLES[key]: values for key, values in result.curves.items()} for name, result in results.items()}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,8 +18,8 @@ from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from gns_pl.evaluation.references import Reference
-    from gns_pl.models.checkpoint import Checkpoint
-    from gns_pl.solvers.familiarity import Familiarity
+    from gns_pl.solvers.learned import LearnedSolver
+    from gns_pl.solvers.ood import OutOfDistribution
 
 
 @dataclass(frozen=True)
@@ -40,19 +40,18 @@ class SceneResult:
     curves: dict[str, Curves]
     failed_at: float | None
     report: dict[str, Any]
-    familiarity: Familiarity | None = None
+    familiarity: OutOfDistribution | None = None
     band: dict[str, Band] = field(default_factory=dict)
 
 
 def judge_scene(
     name: str,
     reference: Reference,
-    checkpoint: Checkpoint,
+    solver: LearnedSolver,
     *,
-    stabilise: Mapping[str, Any] | None = None,
     given: int = 1,
 ) -> SceneResult:
-    """Run one scene by the learned simulator, and measure both.
+    """Run one scene by a learned simulator, and measure both.
 
     One rollout starts from the reference's first frame, so both have the same particles, one to one: what follows
     single particles is measured on it. Everything else is the mean over the placements (`Reference.starts`), against
@@ -62,31 +61,27 @@ def judge_scene(
     Args:
         name: of the scene, for messages.
         reference: of the material point method.
-        checkpoint: the simulator.
-        stabilise: arguments of `rollout.stabilise.stabilise`.
+        solver: the learned simulator.
         given: frames of each start that are taken as they are.
 
     Raises:
         InputError: particles without a neighbour within the simulator's radius, or outside their box.
     """
     from gns_pl.data.places import check_reach
-    from gns_pl.rollout import rollout
     from gns_pl.rollout.failure import first_failure
     from gns_pl.rollout.progress import counting
-    from gns_pl.rollout.stabilise import stabilise as stabilised
-    from gns_pl.solvers.familiarity import familiarity
+    from gns_pl.solvers.ood import compute_ood
 
-    stepper = stabilised(checkpoint.simulator, **(stabilise or {}))
     truth, whole = reference.trajectory, reference.whole
-    check_reach(truth, checkpoint.simulator.config.connectivity_radius)
+    check_reach(truth, solver.checkpoint.simulator.config.connectivity_radius)
     steps = truth.num_frames - given
-    rollout(stepper, truth, min(2, steps), given=given)  # what is compiled at first use is not timed
+    # What fails is told and measured to its end, so that weak models can be compared too.
+    run = partial(solver.run, given=given, monitor=False)
+    run(truth, num_steps=min(2, steps))  # what is compiled at first use is not timed
     with counting(f"{name}: learned rollout", truth.dt) as on_step:
-        learned = rollout(stepper, truth, steps, given=given, on_step=on_step)
+        learned = run(truth, num_steps=steps, on_step=on_step)
     with counting(f"{name}: other placements", truth.dt) as on_step:
-        runs = [rollout(stepper, start, steps, given=given, on_step=on_step) for start in reference.starts]
-    kept = {} if stepper is checkpoint.simulator else dict(stabilise or {})
-    learned = replace(learned, provenance={**learned.provenance, "stabilise": kept})
+        runs = [run(start, num_steps=steps, on_step=on_step) for start in reference.starts]
     finite = num_finite_frames(learned)
     failed_at = finite * learned.dt if finite < truth.num_frames else None
     failure = first_failure(cut(learned, finite))
@@ -98,7 +93,7 @@ def judge_scene(
     flow = {**errors, **dict.fromkeys(FLOW, float("nan")), **placed.over(np.mean)} if placed else errors
     scatter = placed.over(np.std) if placed else {}
     length, height = initial_extent(truth.scene)
-    found = familiarity(checkpoint, trajectories["learned"])
+    found = compute_ood(solver.checkpoint, trajectories["learned"])
     seconds = [float(run.provenance["wall_seconds"]) for run in runs or [learned]]  # type: ignore[arg-type]
     report: dict[str, Any] = {
         "scene": truth.scene.to_dict(),
@@ -124,9 +119,9 @@ def judge_scene(
         "familiarity": None
         if found is None
         else {
-            "left_at": found.left_at,
-            "early": found.early(characteristic_time(truth.scene)),
-            "sentence": found.sentence(),
+            "left_at": found.exit_time,
+            "early": found.early_score(characteristic_time(truth.scene)),
+            "sentence": found.message(),
             "reasons": list(found.reasons),
         },
         "placements": {

@@ -19,7 +19,7 @@ from gns_pl.metrics.summary import Measured, profile_l1, summarise
 from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import compression_notice
-from gns_pl.solvers.learned import start_of
+from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.text import command, override
 from gns_pl.trajectory import Trajectory
 
@@ -100,7 +100,7 @@ def reference_of(
         brief = scene.replace(duration=(given - 1) * interval)
         starts = [replace(thinned(solved(brief, number), number), scene=scene) for number in seeds]
     else:
-        starts = [start_of(scene, checkpoint, number, {}) for number in seeds]
+        starts = [LearnedSolver.of(checkpoint).start(scene, number) for number in seeds]
     spread = resolution_spread(whole, others, particle_spacing(kept))
     return Reference(kept, whole, True, tuple(starts), spread, tuple(cells))
 
@@ -151,7 +151,7 @@ def stored_references(
         stored = read_trajectory(folder / name).every(stride)
         check_frames(str(folder / name), stored.position, stored.particle_type, stored.scene, manifest.spacing)
         seeds = range(seed, seed + placements if "mpm" in data else seed)
-        starts = tuple(start_of(stored.scene, checkpoint, number, {}) for number in seeds)
+        starts = tuple(LearnedSolver.of(checkpoint).start(stored.scene, number) for number in seeds)
         references[Path(name).stem] = Reference(stored, Measured(stored), every == 1, starts)
     return references
 

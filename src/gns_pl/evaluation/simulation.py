@@ -67,7 +67,7 @@ def compare_with_check(path: Path, tolerance: float | None) -> None:
         path: of the run.
         tolerance: of the final runout, relative, that was asked for; None if none was.
     """
-    from gns_pl.solvers.catalogue import CHECK_CELLS, check_path
+    from gns_pl.solvers.simulate import CHECK_CELLS, check_path
 
     coarser = check_path(path)
     if not coarser.is_file():

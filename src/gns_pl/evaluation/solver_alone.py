@@ -16,7 +16,7 @@ from gns_pl.generation import reference_trajectory
 from gns_pl.metrics.summary import Measured
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import compression_notice
-from gns_pl.solvers.solver import MPMWay
+from gns_pl.solvers.mpm import MPMSolver
 
 REPORTING = ("figures", "snapshots", "animation", "film", "paraview")
 """Keys of an evaluation that say what is drawn."""
@@ -58,7 +58,7 @@ def evaluate_mpm(settings: Mapping[str, Any], label: str = "") -> dict[str, Repo
         interval=interval,
         data=data,
     )
-    solver = MPMWay("mpm", max(settings["choice"]["cells"]), mpm, cell_size=cell_size)
+    solver = MPMSolver("mpm", max(settings["choice"]["cells"]), mpm, cell_size=cell_size)
     cells = tuple(float(each) for each in evaluation["spread"])
     if any(not each > 0 for each in cells):
         raise InputError(
@@ -93,13 +93,15 @@ def _of_checkpoint(ckpt: str) -> tuple[dict[str, Any], float, Path]:
     return checkpoint.data, checkpoint.simulator.config.dt, default_folder(ckpt, checkpoints).parent / "mpm"
 
 
-def _run(solver: MPMWay, scene: Scene, cells: Sequence[float], interval: float, seed: int, cache: Path) -> ReportedRun:
+def _run(
+    solver: MPMSolver, scene: Scene, cells: Sequence[float], interval: float, seed: int, cache: Path
+) -> ReportedRun:
     """Run a scene, or find it in the cache, on cells of several sizes."""
     notice = compression_notice(scene)
     if notice is not None:
         print(f"{notice}.", flush=True)
     reduction, settings = solver.reduced(scene), solver.settings_of(scene)
-    words = f"; {reduction.words}" if reduction.words else ""
+    words = f"; {reduction.description}" if reduction.description else ""
     print(f"{scene.name}: MPM on cells of {settings['cell_size']:.3g} m{words} …", flush=True)
     made = []
     for size in (1.0, *cells):

@@ -13,7 +13,7 @@ from gns_pl.metrics.summary import MINIMAL_RUNOUT, Measured
 
 if TYPE_CHECKING:
     from gns_pl.evaluation.references import Reference
-    from gns_pl.models.checkpoint import Checkpoint
+    from gns_pl.solvers.learned import LearnedSolver
 
 SIZES = (3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.0)
 """Cells of the MPM runs that are tried, over those of the data, the cheapest first."""
@@ -24,10 +24,9 @@ RUNS = 3
 
 def measure_speed(
     reference: Reference,
-    checkpoint: Checkpoint,
+    solver: LearnedSolver,
     errors: Sequence[float | None],
     *,
-    stabilise: Mapping[str, Any],
     given: int,
     seed: int,
 ) -> dict[str, Any] | None:
@@ -38,9 +37,8 @@ def measure_speed(
 
     Args:
         reference: what both are compared with: the 99 % runout of all points.
-        checkpoint: the simulator.
+        solver: the learned simulator.
         errors: relative errors of its final 99 % runout, of every placement.
-        stabilise: arguments of `rollout.stabilise.stabilise`.
         given: frames of a start that are taken as they are.
         seed: of the reference; MPM's placements are others.
 
@@ -48,19 +46,17 @@ def measure_speed(
         The "speed" part of a scene in metrics.json; None where the runouts cannot be compared.
     """
     from gns_pl.mpm.config import SimulationError
-    from gns_pl.rollout import rollout
-    from gns_pl.rollout.stabilise import stabilise as stabilised
-    from gns_pl.solvers.solver import MPMWay, characteristic_size
+    from gns_pl.solvers.mpm import MPMSolver
 
     whole, known = reference.whole, [error for error in errors if error is not None and math.isfinite(error)]
     truth = whole.summary["runout_99"]
     if not known or len(known) < len(errors) or abs(truth) < MINIMAL_RUNOUT:
         return None
     scene, interval, frames = whole.trajectory.scene, whole.trajectory.dt, whole.trajectory.num_frames
-    simulator, start = stabilised(checkpoint.simulator, **stabilise), reference.trajectory
+    start = reference.trajectory
     seconds = []
     for _ in range(RUNS + 1):  # the first warms up
-        made = rollout(simulator, start, start.num_frames - given, given=given)
+        made = solver.run(start, num_steps=start.num_frames - given, given=given, monitor=False)
         seconds.append(float(made.provenance["wall_seconds"]))  # type: ignore[arg-type]
     found: dict[str, Any] = {
         "learned": {
@@ -73,15 +69,15 @@ def measure_speed(
         "mpm": [],
         "as_accurate": None,
     }
-    mpm = checkpoint.data["mpm"]
+    mpm = solver.data["mpm"]
     for size in SIZES:
-        way = MPMWay("", characteristic_size(scene) / (size * mpm["cell_size"]), mpm)
+        rival = MPMSolver("mpm", 0.0, mpm, cell_size=size * mpm["cell_size"])
         times, missed = [], []
         try:
-            way.run(scene.replace(duration=interval), interval=interval, seed=seed)  # compiles what is needed
+            rival.run(scene.replace(duration=interval), interval=interval, seed=seed)  # compiles what is needed
             for number in range(RUNS):
                 began = perf_counter()
-                run = way.run(scene, interval=interval, seed=seed + 1 + number)
+                run = rival.run(scene, interval=interval, seed=seed + 1 + number)
                 times.append(perf_counter() - began)
                 missed.append(Measured(cut(run, frames)).curves["runout_99"][-1] / truth - 1)
         except SimulationError:

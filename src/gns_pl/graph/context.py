@@ -33,7 +33,8 @@ class ContextGrid:
 
     Memory for every node of a box is taken only where these are few. In a field of 100 m with cells of some centimetres
     they would be thousands of millions, of which particles reach a few thousand; there the nodes that particles reach
-    are found by sorting, which gives the same numbers (up to the rounding of sums).
+    are found by sorting, which gives the same numbers (up to the rounding of sums). Exported programs
+    have the first way alone.
 
     Attributes:
         shape: nodes of every axis.
@@ -67,8 +68,9 @@ class ContextGrid:
         boxes, dim = lower.shape
         cells = ((upper - lower) / cell).round().clamp(min=1.0)
         edge = (upper - lower) / cells
-        shape = grid_shape(cells.amax(dim=0).tolist())
-        if math.prod(shape) > DENSE_NODES:
+        most, exporting = cells.amax(dim=0), torch.compiler.is_exporting()
+        shape = grid_shape((most.long() if exporting else most).tolist())
+        if not exporting and math.prod(shape) > DENSE_NODES:
             if boxes * math.prod(shape) > torch.iinfo(torch.int64).max:
                 raise InputError(
                     f"a box of {(upper - lower).amax():.3g} m has too many cells of the radius, {cell:g} m; "

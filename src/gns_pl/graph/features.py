@@ -68,6 +68,8 @@ class Static:
         Args:
             cell: edge of its cells [m].
         """
+        if torch.compiler.is_exporting():  # the box is an input of the program, so the grid is made in every step
+            return ContextGrid.of(self.lower, self.upper, cell)
         if cell not in self._grids:
             with torch.inference_mode(False), torch.no_grad():  # so that a later step may have gradients
                 self._grids[cell] = ContextGrid.of(self.lower, self.upper, cell)

@@ -79,6 +79,14 @@ class TrajectoryStream:
             if len(self._waiting) == self._chunk:
                 self._write()
 
+    def flush(self) -> None:
+        """Put all frames into the file, whether their chunk is full or not.
+
+        Raises:
+            StorageError: the disk refuses; what is in the file stays.
+        """
+        self._write()
+
     def _write(self) -> None:
         waiting, self._waiting = self._waiting, []
         if waiting:

@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import io
 import typing
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,7 +19,7 @@ READERS: dict[type, Callable[[str], Any]] = {bool: lambda text: text == "True", 
 """Type of a field → what makes it of a cell."""
 
 
-def read_table(path: str | Path, kind: type[R], advice: str) -> list[R]:
+def read_table(path: str | Path, kind: type[R], advice: str, renamed: Mapping[str, str] | None = None) -> list[R]:
     """Return the rows of a table.
 
     Columns beyond the fields of the dataclass are left out; a field with a default may have none, as in older tables.
@@ -28,6 +28,7 @@ def read_table(path: str | Path, kind: type[R], advice: str) -> list[R]:
         path: the file.
         kind: dataclass of a row, whose fields are bool, int, float or str.
         advice: what is said, behind the path, of a file that holds something else.
+        renamed: name of a column in older tables → that of the field.
 
     Raises:
         InputError: no such file, or no such table.
@@ -36,7 +37,8 @@ def read_table(path: str | Path, kind: type[R], advice: str) -> list[R]:
     readers = {each.name: READERS[types[each.name]] for each in dataclasses.fields(kind)}  # type: ignore[arg-type]
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
-            lines = list(csv.DictReader(file))
+            names = renamed or {}
+            lines = [{names.get(key, key): cell for key, cell in line.items()} for line in csv.DictReader(file)]
         for each in dataclasses.fields(kind):  # type: ignore[arg-type]
             if each.default is not dataclasses.MISSING and lines and each.name not in lines[0]:
                 del readers[each.name]

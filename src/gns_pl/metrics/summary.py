@@ -151,6 +151,31 @@ def compare(
     return {**errors, "sinkhorn": distance}
 
 
+def compare_runs(predicted: Trajectory, reference: Trajectory) -> dict[str, float]:
+    """Compare what two runs of a scene did as a whole; their particles and time steps may differ.
+
+    Args:
+        predicted: what is judged.
+        reference: what it should be.
+
+    Returns:
+        The entries of `ERRORS` that follow no single particle, as "runout_99_error" (relative), then the `SUMMARY` of
+        `predicted`; NaN where it ended before the reference, or is not finite.
+
+    Raises:
+        InputError: runs in different dimensions.
+    """
+    if predicted.scene.dim != reference.scene.dim:
+        dims = f"{predicted.scene.dim} and {reference.scene.dim}"
+        raise InputError(f"runs in {dims} dimensions cannot be compared; run both in the same.")
+    end = reference.dt * (reference.num_frames - 1)
+    if predicted.dt * (predicted.num_frames - 1) < end * (1 - 1e-6) or not np.isfinite(predicted.position).all():
+        names = flow_errors(Measured(reference), Measured(reference))
+        return dict.fromkeys(names, math.nan)
+    same_times = predicted.resampled(reference.dt, end)
+    return flow_errors(Measured(cut(same_times, reference.num_frames)), Measured(reference))
+
+
 def rollout_errors(
     predicted: Trajectory, reference: Trajectory, whole: Measured | None = None, *, given: int = 1
 ) -> dict[str, float]:

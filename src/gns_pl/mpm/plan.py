@@ -26,6 +26,9 @@ MAX_SPEED_RATIO = 3.0
 NUM_POINT_ARRAYS, ORDER = 7, 10
 """Of a state (`make_state`): how many of its first arrays are about points, and where the order of these stands."""
 
+SAVED = {"position": 0, "velocity": 1, "affine": 2, "stress": 3, "order": ORDER}
+"""Name of an array that a run needs to go on → its place in the state; all others follow from scene and settings."""
+
 
 @dataclass(frozen=True)
 class Grid:

@@ -154,10 +154,23 @@ def solver_version(mpm: Mapping[str, Any] | None = None) -> str:
     Raises:
         InputError: an unknown law.
     """
+    law = law_digest(mpm or {})
+    return _own_version() + (f".{law}" if law else "")
+
+
+def law_digest(mpm: Mapping[str, Any]) -> str:
+    """Return the hash of the code of a material law of one's own; "" for the shipped law.
+
+    Args:
+        mpm: settings of the solver.
+
+    Raises:
+        InputError: an unknown law.
+    """
     from gns_pl.mpm.laws import DRUCKER_PRAGER, find_law
 
-    law = find_law((mpm or {}).get("law", DRUCKER_PRAGER))
-    return _own_version() + (f".{law.digest}" if law else "")
+    law = find_law(mpm.get("law", DRUCKER_PRAGER))
+    return law.digest if law else ""
 
 
 @cache

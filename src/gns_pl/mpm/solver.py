@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.mpm.config import MPMConfig, SimulationError
-from gns_pl.mpm.plan import NUM_POINT_ARRAYS, ORDER, Plan, make_plan, make_setting, make_state
+from gns_pl.mpm.plan import NUM_POINT_ARRAYS, ORDER, SAVED, Plan, make_plan, make_setting, make_state
 from gns_pl.scene import Particles, Scene, fill_scene
 from gns_pl.trajectory import Trajectory, start_trajectory
 
@@ -58,14 +58,76 @@ def simulate(
         raise InputError(f"mpm: device must be one of {', '.join(DEVICES)}, not {device!r}.")
     if device == "cuda":
         return simulate_batch([scene], config, frame_interval=frame_interval, seeds=[seed], on_frame=on_frame)[0]
-    particles, plan = _start(scene, config, float(frame_interval), seed)
-    state = make_state(scene, particles, plan.grid, config)
-    setting = make_setting(scene, plan.grid, config, plan.dt)
+    particles, plan = start_run(scene, config, float(frame_interval), seed)
     frames = np.empty((plan.num_frames, len(particles.position), scene.dim), dtype=np.float32)
-    original = np.arange(len(particles.position))  # of every point, its index at the start
-    with _advance(config, num_threads) as advance:
-        for frame in range(plan.num_frames):
-            if frame > 0:
+    for progress in advance_frames(plan, particles, num_threads=num_threads):
+        frames[progress.frame] = progress.position()
+        if on_frame is not None:
+            on_frame(progress.frame, plan.num_frames)
+    provenance = plan.provenance(seed) | {"device": "cpu", "num_threads": num_threads}
+    return replace(start_trajectory(scene, particles, frame_interval, provenance), position=frames)
+
+
+@dataclass
+class Progress:
+    """A run at one of its frames.
+
+    Attributes:
+        plan: of the run.
+        frame: its number, from 0.
+        state: of the points, in an order that changes from frame to frame, and the grid.
+        original: of every point, its number at the start [N].
+    """
+
+    plan: Plan
+    frame: int
+    state: tuple[NDArray[Any], ...]
+    original: NDArray[np.int64]
+
+    def position(self) -> NDArray[np.float32]:
+        """Return the points' positions in the order of the start [N, D] [m]."""
+        position = np.empty((len(self.original), self.plan.scene.dim), dtype=np.float32)
+        position[self.original] = self.plan.place(self.state[0])
+        return position
+
+    def saved(self) -> dict[str, NDArray[Any]]:
+        """Return what `advance_frames` needs to go on from here, to the same bits."""
+        return {name: self.state[index].copy() for name, index in SAVED.items()} | {
+            "frame": np.array(self.frame),
+            "original": self.original,
+        }
+
+
+def advance_frames(
+    plan: Plan, particles: Particles, *, num_threads: int = 1, saved: Mapping[str, NDArray[Any]] | None = None
+) -> Iterator[Progress]:
+    """Run a plan on the CPU, frame by frame.
+
+    Args:
+        plan: of the run.
+        particles: its points at the start.
+        num_threads: as of `simulate`.
+        saved: what `Progress.saved` gave at an earlier frame of the same run, to go on from there.
+
+    Yields:
+        The run at frame 0, or at the saved one, and at every later frame; what is yielded is the same object's arrays
+        until the next frame.
+
+    Raises:
+        InputError: too many threads.
+        SimulationError: as `simulate`.
+    """
+    state = make_state(plan.scene, particles, plan.grid, plan.config)
+    setting = make_setting(plan.scene, plan.grid, plan.config, plan.dt)
+    original, first = np.arange(len(particles.position)), 0
+    if saved is not None:
+        original, first = saved["original"], int(saved["frame"])
+        state = _reordered(state, original)
+        for name, index in SAVED.items():
+            state[index][:] = saved[name]
+    with _advance(plan.config, num_threads) as advance:
+        for frame in range(first, plan.num_frames):
+            if frame > first:
                 # Points mix as they flow; kept in the order of the last step's blocks, a step of a large scene takes
                 # half as long.
                 order = state[ORDER].copy()
@@ -75,11 +137,7 @@ def simulate(
                 if left or not _fastest(state[1]) <= plan.speed_limit:  # NaN comes here too
                     state = _reordered((*before, *state[4:]), np.argsort(original))
                     raise _failure(plan, (frame - 1) * plan.steps, state, partial(advance, *state, *setting, 1, 1))
-            frames[frame, original] = plan.place(state[0])
-            if on_frame is not None:
-                on_frame(frame, plan.num_frames)
-    provenance = plan.provenance(seed) | {"device": "cpu", "num_threads": num_threads}
-    return replace(start_trajectory(scene, particles, frame_interval, provenance), position=frames)
+            yield Progress(plan, frame, state, original)
 
 
 def simulate_batch(
@@ -115,7 +173,7 @@ def simulate_batch(
         raise InputError("mpm: the scenes of a batch must all be of one dimension; make a batch for each.")
     if not scenes:
         return []
-    starts = [_start(scene, config, frame_interval, seed) for scene, seed in zip(scenes, seeds, strict=True)]
+    starts = [start_run(scene, config, frame_interval, seed) for scene, seed in zip(scenes, seeds, strict=True)]
     if not has_cuda():
         raise InputError(
             "mpm: numba finds no CUDA device; choose device=cpu, or, where there is an NVIDIA GPU, install the solver "
@@ -149,8 +207,8 @@ def simulate_batch(
     ]
 
 
-def _start(scene: Scene, config: MPMConfig, frame_interval: float, seed: int) -> tuple[Particles, Plan]:
-    """Fill a scene and plan its run."""
+def start_run(scene: Scene, config: MPMConfig, frame_interval: float, seed: int) -> tuple[Particles, Plan]:
+    """Return the points that fill a scene, and the plan of their run; arguments and errors as those of `simulate`."""
     if not (math.isfinite(frame_interval) and frame_interval > 0):
         raise InputError(f"mpm: frame_interval must be a positive number, not {frame_interval}.")
     particles = fill_scene(scene, config.spacing, jitter=config.jitter, generator=np.random.default_rng(seed))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.mpm.config import MPMConfig, SimulationError
-from gns_pl.mpm.plan import make_plan, make_setting, make_state
+from gns_pl.mpm.plan import SAVED, make_plan, make_setting, make_state
 from gns_pl.scene import Particles, Scene
 
 
@@ -64,6 +65,15 @@ class SteppedRun:
         if left or not fastest <= self.plan.speed_limit:
             name = self.plan.scene.name
             raise SimulationError(f"scene {name!r}: points that were pushed left the box or reached {fastest:.3g} m/s.")
+
+    def saved(self) -> dict[str, NDArray[Any]]:
+        """Return what `restore` needs to go on from here, to the same bits."""
+        return {name: self._state[index].copy() for name, index in SAVED.items()}
+
+    def restore(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from the state that `saved` returned for a run of the same scene, settings and points."""
+        for name, index in SAVED.items():
+            self._state[index][:] = saved[name]
 
     def push(self, velocity: NDArray[Any]) -> None:
         """Add velocities to the points'; their places, stress and affine momentum stay.

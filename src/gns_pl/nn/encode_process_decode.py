@@ -77,10 +77,11 @@ class EncodeProcessDecode(LayerStack):
             edge: edge features [E, F'].
             edge_index: [2, E], sender and receiver.
         """
-        if node.device.type == "cuda" and not torch.is_grad_enabled() and self._fuses(node, edge_index):
+        plain = torch.compiler.is_exporting()  # compiled loops and kernels do not go into an exported program
+        if node.device.type == "cuda" and not (plain or torch.is_grad_enabled()) and self._fuses(node, edge_index):
             return self._fused()(node, edge, edge_index)
         able = self.compiled_edges and node.device.type == "cpu" and node.dtype == torch.float32
-        able = able and not torch.is_autocast_enabled("cpu")
+        able = able and not (plain or torch.is_autocast_enabled("cpu"))
         sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
         if sorted_edges is not None and not torch.is_grad_enabled():
             return process_in_blocks(self, node, edge, sorted_edges)

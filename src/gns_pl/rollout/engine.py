@@ -21,7 +21,7 @@ from gns_pl.errors import InputError
 from gns_pl.graph import Static
 from gns_pl.machine import machine_name
 from gns_pl.models.config import SimulatorConfig
-from gns_pl.rollout.failure import Watch
+from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.stepper import Stepper
 from gns_pl.trajectory import Trajectory, ballistic_history
@@ -175,6 +175,70 @@ def _tensor(frames: Sequence[NDArray[np.float32]], device: torch.device) -> Tens
     return torch.from_numpy(np.concatenate(frames)).to(device)
 
 
+def run_to_end(
+    stepper: Stepper,
+    runs: Sequence[Run],
+    *,
+    rest: Rest | None = None,
+    watches: Sequence[Watch | None] | None = None,
+    on_frame: Callable[[int, NDArray[np.float32]], None],
+    on_end: Callable[[int, dict[str, object]], None],
+    on_step: Callable[[int, int], None] | None = None,
+) -> int:
+    """Step scenes together until each has ended, and hand on every frame and how each run ended.
+
+    Args:
+        stepper: as of `unroll`.
+        runs: the scenes.
+        rest: as of `unroll`.
+        watches: likewise.
+        on_frame: called with the number of a scene and its next frame [N, D] [m].
+        on_end: called once for every scene with what there is to say of its end: nothing, "at_rest_from" [s], or
+            "failed_at" [s] and "failure".
+        on_step: called after every step with the number of steps made and the largest number to make.
+
+    Returns:
+        The number of steps made.
+
+    Raises:
+        InputError: a start that does not fit the simulator.
+    """
+    dt, total, steps = stepper.config.dt, max((run.num_steps for run in runs), default=0), 0
+    rested = rest.rested if rest else set()
+    going = {number for number, run in enumerate(runs) if run.num_steps}
+    for number in sorted(set(range(len(runs))) - going):
+        on_end(number, {})
+
+    def end(number: int, ending: dict[str, object]) -> None:
+        going.remove(number)
+        on_end(number, ending)
+
+    def end_rested() -> None:
+        for number in sorted(going & rested):
+            end(number, {"at_rest_from": (runs[number].made + steps) * dt})
+
+    with torch.inference_mode():
+        for parts in unroll(stepper, runs, rest=rest, watches=watches):
+            end_rested()
+            steps += 1
+            for number in sorted(going):
+                watch = watches[number] if watches else None
+                failure = watch.failure if watch else None
+                if number in parts:
+                    on_frame(number, parts[number].cpu().numpy())
+                elif failure is None:
+                    when = (runs[number].made + steps) * dt
+                    failure = Failure("not finite", when, f"positions were no longer finite at {when:.3g} s")
+                if failure is not None:
+                    end(number, {"failed_at": failure.time, "failure": failure.sentence})
+                elif runs[number].num_steps == steps:
+                    end(number, {})
+            if on_step is not None:
+                on_step(steps, total)
+        end_rested()
+    return steps
+
+
 def rollout(
     stepper: Stepper,
     start: Trajectory,
@@ -201,31 +265,53 @@ def rollout(
 
     Returns:
         Up to `num_steps` + `given` frames at the simulator's time step; `provenance["wall_seconds"]` is the time of the
-        loop, `provenance["failed_at"]` [s] is there if it ended early, with `provenance["failure"]` if it was watched,
-        `provenance["at_rest_from"]` if at rest.
+        loop, `provenance["failed_at"]` [s] and `provenance["failure"]` are there if it failed, and
+        `provenance["at_rest_from"]` [s] if it came to rest.
 
     Raises:
         InputError: a start that does not fit the simulator.
     """
-    past, finite = start.position[:given].astype(np.float32), True
-    frames = list(past)
+    return rollouts(
+        stepper, [start], [num_steps], given=given, rest=rest, watches=[watch] if watch else None, on_step=on_step
+    )[0]
+
+
+def rollouts(
+    stepper: Stepper,
+    starts: Sequence[Trajectory],
+    num_steps: Sequence[int],
+    *,
+    given: int = 1,
+    rest: Rest | None = None,
+    watches: Sequence[Watch | None] | None = None,
+    on_step: Callable[[int, int], None] | None = None,
+) -> list[Trajectory]:
+    """Unroll several starts together, as `rollout` does one; each has its own number of steps, rest and end."""
+    pasts = [start.position[:given].astype(np.float32) for start in starts]
+    frames, endings = [list(past) for past in pasts], [dict[str, object]() for _ in starts]
+    runs = [Run(start, steps, past, given - 1) for start, steps, past in zip(starts, num_steps, pasts, strict=True)]
     began = time.perf_counter()
-    with torch.inference_mode():
-        for parts in unroll(stepper, [Run(start, num_steps, past, given - 1)], rest=rest, watches=[watch]):
-            finite = 0 in parts
-            if finite:
-                frames.append(parts[0].cpu().numpy())
-                if on_step is not None:
-                    on_step(len(frames) - given, num_steps)
-    provenance: dict[str, object] = {"solver": "gns_pl.rollout"}
-    if watch is not None and watch.failure is not None:
-        provenance |= {"failed_at": watch.failure.time, "failure": watch.failure.sentence}
-    elif not finite:
-        provenance["failed_at"] = len(frames) * stepper.config.dt
-    elif len(frames) < num_steps + given:
-        provenance["at_rest_from"] = (len(frames) - 1) * stepper.config.dt
-    provenance["wall_seconds"] = time.perf_counter() - began
-    provenance["device"] = str(stepper.device)
-    provenance["num_threads"] = torch.get_num_threads()
-    provenance["machine"] = machine_name()
-    return replace(start, position=np.stack(frames), dt=stepper.config.dt, provenance=provenance)
+    run_to_end(
+        stepper,
+        runs,
+        rest=rest,
+        watches=watches,
+        on_frame=lambda number, frame: frames[number].append(frame),
+        on_end=lambda number, ending: endings[number].update(ending),
+        on_step=on_step,
+    )
+    how = {
+        "wall_seconds": time.perf_counter() - began,
+        "device": str(stepper.device),
+        "num_threads": torch.get_num_threads(),
+        "machine": machine_name(),
+    }
+    return [
+        replace(
+            start,
+            position=np.stack(some),
+            dt=stepper.config.dt,
+            provenance={"solver": "gns_pl.rollout", **ending, **how},
+        )
+        for start, some, ending in zip(starts, frames, endings, strict=True)
+    ]

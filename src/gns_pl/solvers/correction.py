@@ -1,4 +1,4 @@
-"""Coarse material point runs that a network corrects on the way: a second way from a scene to a trajectory.
+"""Coarse material point runs that a network corrects on the way.
 
 The points of the run are the particles. After every interval the corrector says by which velocity they are too slow,
 and they get it. Places and stress stay those of the material point method, which finds out by itself what velocities do
@@ -8,8 +8,9 @@ to the density: put to other places as well, points drift apart and the heap swe
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -50,7 +51,6 @@ def points_of(trajectory: Trajectory, frame: int = 0) -> Particles:
     )
 
 
-@torch.inference_mode()
 def corrected_run(corrector: Corrector, start: Trajectory, num_steps: int) -> Trajectory:
     """Return a coarse run with corrections, from the first frame of `start`.
 
@@ -62,21 +62,50 @@ def corrected_run(corrector: Corrector, start: Trajectory, num_steps: int) -> Tr
     Raises:
         SimulationError: the run became unstable.
     """
-    config, static, began = corrector.config, static_of(start), time.perf_counter()
+    began = time.perf_counter()
+    frames = [position for _, position, _ in corrected_frames(corrector, start, num_steps)]
+    provenance = {**start.provenance, "wall_seconds": time.perf_counter() - began}
+    return replace(start, position=np.stack(frames), dt=corrector.config.interval, provenance=provenance)
+
+
+State = dict[str, NDArray[Any]]
+
+
+def corrected_frames(
+    corrector: Corrector, start: Trajectory, num_steps: int, saved: Mapping[str, NDArray[Any]] | None = None
+) -> Iterator[tuple[int, Floats, Callable[[], State]]]:
+    """Run with corrections, frame by frame.
+
+    Args:
+        corrector: as of `corrected_run`.
+        start: likewise.
+        num_steps: likewise.
+        saved: what the third of an earlier frame's values returned, to go on from there to the same bits.
+
+    Yields:
+        The number of a frame, from 0 or from that of `saved`; its positions [N, D] [m]; and what returns the state
+        there.
+
+    Raises:
+        SimulationError: the run became unstable.
+    """
+    config, static = corrector.config, static_of(start)
     run = stepped_run(start.scene, config.mpm, points_of(start), config.interval)
-    before = run.position - run.velocity * config.interval
-    frames = [run.position.astype(np.float32)]
-    for _ in range(num_steps):
-        position = run.position
-        run.advance()
-        predicted = run.position
-        arrays = (torch.from_numpy(each.astype(np.float32)) for each in (before, position, predicted))
-        velocity = corrector(*arrays, static).numpy()
-        run.push(velocity)
-        before = position
-        frames.append(run.position.astype(np.float32))
-    provenance = {"solver": "gns_pl.solvers.correction", "wall_seconds": time.perf_counter() - began}
-    return replace(start, position=np.stack(frames), dt=config.interval, provenance=provenance)
+    before, first = run.position - run.velocity * config.interval, 0
+    if saved is not None:
+        run.restore(saved)
+        before, first = saved["before"], int(saved["frame"])
+    for frame in range(first, num_steps + 1):
+        if frame > first:
+            position = run.position
+            run.advance()
+            predicted = run.position
+            arrays = (torch.from_numpy(array.astype(np.float32)) for array in (before, position, predicted))
+            with torch.inference_mode():
+                run.push(corrector(*arrays, static).numpy())
+            before = position
+        here = {"before": before, "frame": np.array(frame)}
+        yield frame, run.position.astype(np.float32), lambda: {**run.saved(), **here}  # noqa: B023
 
 
 @torch.no_grad()

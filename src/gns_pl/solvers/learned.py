@@ -1,110 +1,85 @@
-"""The ways that learned from data: a simulator alone, a corrector of coarse MPM, a simulator hand in hand with MPM."""
+"""A learned simulator as a solver, and how every run of one is made: the same for files, evaluation, charts and Python.
+
+A run is stabilised, accelerated and watched, ends when nothing moves any more, and says whether its scene is outside
+the range of its data (`Policy`).
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
+import gns_pl
+from gns_pl.data.places import check_reach
 from gns_pl.errors import InputError
-from gns_pl.generation import chosen_every
-from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
-from gns_pl.models.corrector import CorrectorFile, load_corrector
-from gns_pl.models.shipped import find_corrector
-from gns_pl.rollout.engine import rollout
+from gns_pl.io import file_sha256
+from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, move
+from gns_pl.models.geoelements import cold_start
+from gns_pl.models.shipped import find_checkpoint
+from gns_pl.rollout.distributed import meet, processes, share_of_memory
+from gns_pl.rollout.engine import Run, check_run, rollouts, run_to_end, unroll
 from gns_pl.rollout.failure import Watch
-from gns_pl.rollout.rest import Rest
-from gns_pl.rollout.stabilise import stabilise
-from gns_pl.scene import Particles, Scene, fill_scene
-from gns_pl.scene.extent import characteristic_time
-from gns_pl.solvers.correction import corrected_run
-from gns_pl.solvers.handover import continued_by_mpm
-from gns_pl.solvers.reduction import Reduction, to_plane, why_not_plane
-from gns_pl.solvers.training_range import beyond
-from gns_pl.trajectory import Trajectory, start_trajectory
-
-OVERHEAD = 300
-"""A learned step of few particles takes as long as one of so many."""
-
-
-POINTS_PER_PARTICLE = 36
-"""A step of so many material points takes as long as that of one learned particle."""
-
-
-class FittedWay:
-    """What is the same for all that learned from data: one of two dimensions takes scenes in plane strain.
-
-    Attributes:
-        dim: D of what it learned.
-        spacing: of its particles [m].
-        interval: time of its steps [s].
-        data: the specification of its data, as in conf/data/.
-    """
-
-    dim: int
-    spacing: float
-    interval: float
-    data: Mapping[str, Any]
-
-    def why_not(self, scene: Scene) -> str | None:
-        """Return what of a scene was not in the data, or None."""
-        if scene.obstacles:
-            return "knows no obstacles"
-        if self.dim == 2 and scene.dim == 3:
-            reasons = [why_not_plane(scene, axis) for axis in (1, 0)]
-            if None not in reasons:
-                return f"is of plane strain, and the scene is not: {reasons[0]}"
-        elif self.dim != scene.dim:
-            return f"has {self.dim} dimensions, the scene {scene.dim}"
-        return next(beyond(self.reduced(scene).scene, self.data), None)
-
-    def reduced(self, scene: Scene) -> Reduction:
-        """Return the scene's slice where two dimensions are wanted, else the scene itself.
-
-        Raises:
-            InputError: it cannot be run at all.
-        """
-        if scene.obstacles:
-            raise InputError(f"scene {scene.name!r} has obstacles, and a learned simulator knows no obstacles yet.")
-        return plane_of(scene, self.dim)
-
-    def size(self, scene: Scene) -> tuple[int, int]:
-        """Return the numbers of particles and of steps."""
-        less = self.reduced(scene).scene
-        volume = sum(math.prod(body.size) for body in less.bodies)
-        return round(volume / self.spacing**less.dim), math.ceil(less.duration / self.interval - 1e-6)
-
-    def work(self, scene: Scene) -> float:
-        """Return (particles + overhead) × steps."""
-        particles, steps = self.size(scene)
-        return float((particles + OVERHEAD) * steps)
+from gns_pl.rollout.memory import check_memory
+from gns_pl.rollout.policy import Policy
+from gns_pl.rollout.progress import counting
+from gns_pl.rollout.stepper import Stepper
+from gns_pl.scene import Scene
+from gns_pl.solvers.ood import ood_message
+from gns_pl.solvers.recording import Recording
+from gns_pl.solvers.reduction import Reduction
+from gns_pl.solvers.solver import hashed
+from gns_pl.solvers.trained import TrainedSolver
+from gns_pl.solvers.training_range import out_of_range
+from gns_pl.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class LearnedWay(FittedWay):
+class LearnedSolver(TrainedSolver):
     """A learned simulator.
 
     Attributes:
-        name: of the way.
-        path: of the checkpoint, or the name of one that comes with the package.
-        rest_speed: a run ends when every particle is slower [m/s]; 0 makes all its steps.
-        stabilise: arguments of `stabilise`, by which its steps are kept within what sand can do.
+        name: of the solver.
+        path: of the checkpoint, or the name of one that comes with the package; None for one that is in memory alone.
+        policy: how it is run.
+        device: "cpu", "cuda", or "auto" for a GPU where there is one.
     """
 
     name: str
-    path: str | Path
-    rest_speed: float = 0.0
-    stabilise: Mapping[str, Any] = field(default_factory=dict)
+    path: str | Path | None
+    policy: Policy = field(default_factory=Policy)
+    device: str = "cpu"
+    group: str = field(default="learned", init=False)
+
+    @classmethod
+    def of(cls, checkpoint: Checkpoint, name: str = "learned", policy: Policy | None = None) -> LearnedSolver:
+        """Return the solver of a checkpoint that is in memory, on the device of its weights."""
+        solver = cls(name, None, policy or Policy(), str(checkpoint.simulator.device))
+        solver.__dict__["checkpoint"] = checkpoint
+        return solver
 
     @cached_property
     def checkpoint(self) -> Checkpoint:
-        """The checkpoint, read when first needed."""
-        return load_checkpoint(self.path)
+        """The checkpoint, read and moved to its device when first needed."""
+        if self.path is None:
+            raise InputError(f"{self.name}: has neither a file nor a checkpoint.")
+        checkpoint = load_checkpoint(self.path)
+        move(checkpoint, self.device, "device")
+        return checkpoint
+
+    @cached_property
+    def stepper(self) -> Stepper:
+        """What makes the steps."""
+        return self.policy.stepper(self.checkpoint)
 
     @property
     def dim(self) -> int:  # type: ignore[override]
@@ -126,144 +101,225 @@ class LearnedWay(FittedWay):
         """The specification of the data."""
         return self.checkpoint.data
 
-    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory; arguments as those of `Way`. One that fails (`failure`) ends there."""
-        less, stepper = self.reduced(scene), stabilise(self.checkpoint.simulator, **self.stabilise)
-        start = start_of(less.scene, self.checkpoint, seed, {})
-        rest = Rest(self.rest_speed) if self.rest_speed else None
-        made = rollout(stepper, start, self.size(scene)[1], rest=rest, watch=Watch(start, self.interval, every=10))
-        return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
-
-
-@dataclass(frozen=True)
-class CorrectedWay(FittedWay):
-    """Coarse MPM, corrected by a network.
-
-    Attributes:
-        name: of the way.
-        path: of the corrector's file, or the name of one that comes with the package.
-    """
-
-    name: str
-    path: str | Path
-
-    @cached_property
-    def file(self) -> CorrectorFile:
-        """The corrector's file, read when first needed."""
-        return load_corrector(find_corrector(self.path))
-
     @property
-    def dim(self) -> int:  # type: ignore[override]
-        """D."""
-        return self.file.corrector.config.dim
+    def provenance(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """Of the training."""
+        return self.checkpoint.provenance
 
-    @property
-    def spacing(self) -> float:  # type: ignore[override]
-        """Of the points [m]."""
-        return self.file.corrector.config.spacing
+    def file(self) -> Path | None:
+        """Return the checkpoint's file."""
+        return None if self.path is None else find_checkpoint(self.path)
 
-    @property
-    def interval(self) -> float:  # type: ignore[override]
-        """Time between corrections [s]."""
-        return self.file.corrector.config.interval
+    def identity(self) -> str:
+        """Return a hash of the checkpoint and of how it is run."""
+        file = self.file()
+        weights = "" if file is None else file_sha256(file)
+        return hashed([weights, gns_pl.__version__, dict(self.policy.stabilise)])
 
-    @property
-    def data(self) -> Mapping[str, Any]:  # type: ignore[override]
-        """The specification of the data."""
-        return self.file.data
+    def facts(self, scene: Scene) -> dict[str, object]:
+        """Return name, version, the checkpoint and how it is run."""
+        file = self.file()
+        known = {} if file is None else {"checkpoint": file.name, "checkpoint_sha256": file_sha256(file)}
+        return {
+            "solver": self.name,
+            "version": gns_pl.__version__,
+            **known,
+            "stabilise": dict(self.policy.stabilise),
+            "rest_speed": self.policy.rest_speed,
+        }
 
-    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory; arguments as those of `Way`."""
-        less = self.reduced(scene)
-        particles = _filled(less.scene, self.spacing, self.data, seed)
-        start = start_trajectory(less.scene, particles, self.interval, {})
-        made = corrected_run(self.file.corrector, start, self.size(scene)[1])
-        return less.lift(made.resampled(interval, scene.duration))
+    def on(self, device: str) -> LearnedSolver:
+        """Return the solver on another device; arguments and errors as those of `Solver.on`."""
+        return self if device in ("auto", self.device) else replace(self, device=device)
 
+    def run(
+        self,
+        scene: Scene | Trajectory,
+        *,
+        interval: float | None = None,
+        seed: int = 0,
+        monitor: bool = True,
+        given: int = 1,
+        num_steps: int | None = None,
+        on_step: Callable[[int, int], None] | None = None,
+    ) -> Trajectory:
+        """Return what becomes of a scene, or goes on from the first frames of a trajectory.
 
-@dataclass(frozen=True)
-class HandedWay(LearnedWay):
-    """A learned simulator, and the material point method after it; its points are the particles.
+        Args:
+            scene: a scene, which is filled with particles; or a trajectory, whose first `given` frames are taken.
+            interval: as of `Solver.run`.
+            seed: likewise.
+            monitor: likewise.
+            given: frames of a trajectory that are taken as they are.
+            num_steps: frames to add; None for the duration of a scene, or to the last frame of a trajectory.
+            on_step: called with the number of steps made and their total.
 
-    Attributes:
-        until: when the learned simulator hands over [τc = √(H0/g)].
-    """
+        Raises:
+            InputError: as `Solver.run`.
+        """
+        settings = {"interval": interval, "seed": seed, "monitor": monitor, "given": given, "num_steps": num_steps}
+        return self.run_many([scene], **settings, on_step=on_step)[0]  # type: ignore[arg-type]
 
-    until: float = 1.0
+    def run_many(
+        self,
+        scenes: Sequence[Scene | Trajectory],
+        *,
+        interval: float | None = None,
+        seed: int | Sequence[int] = 0,
+        monitor: bool = True,
+        given: int = 1,
+        num_steps: int | None = None,
+        on_step: Callable[[int, int], None] | None = None,
+    ) -> list[Trajectory]:
+        """Return what becomes of every scene, all stepped together; arguments and errors as those of `run`.
 
-    def __post_init__(self) -> None:
-        if not self.until > 0:
-            raise InputError(f"choice.handed: {self.name} needs until above 0 τc.")
+        Several seeds are one for each scene.
+        """
+        seeds = [seed] * len(scenes) if isinstance(seed, int) else seed
+        reductions = [
+            self.reduced(scene.scene if isinstance(scene, Trajectory) else scene) if isinstance(scene, Scene) else None
+            for scene in scenes
+        ]
+        starts = [
+            scene if isinstance(scene, Trajectory) else self.start(reduction.scene, number)  # type: ignore[union-attr]
+            for scene, reduction, number in zip(scenes, reductions, seeds, strict=True)
+        ]
+        steps = [
+            (start.num_frames - given if start.num_frames > given else self.num_steps(start.scene))
+            if num_steps is None
+            else num_steps
+            for start in starts
+        ]
+        watches = [Watch(start, self.interval, every=self.policy.every) if monitor else None for start in starts]
+        trajectories = rollouts(
+            self.stepper, starts, steps, given=given, rest=self.policy.rest(), watches=watches, on_step=on_step
+        )
+        return [
+            self._complete(trajectory, reduction, number + given, interval)
+            for trajectory, reduction, number in zip(trajectories, reductions, steps, strict=True)
+        ]
 
-    def shares(self, scene: Scene) -> tuple[int, int]:
-        """Return how many learned steps the simulator makes, and how many MPM makes in their place."""
-        less, steps = self.reduced(scene).scene, self.size(scene)[1]
-        early = min(steps, max(1, round(self.until * characteristic_time(less) / self.interval)))
-        return early, steps - early
+    def _complete(
+        self, trajectory: Trajectory, reduction: Reduction | None, num_frames: int, interval: float | None
+    ) -> Trajectory:
+        """Return a run with all its frames, also those after it came to rest, of the scene that was asked for."""
+        scene, whole = trajectory.scene, "failed_at" not in trajectory.provenance
+        missing = num_frames - trajectory.num_frames if whole else 0
+        if missing > 0:
+            frames = np.concatenate([trajectory.position, np.repeat(trajectory.position[-1:], missing, axis=0)])
+            trajectory = replace(trajectory, position=frames)
+        if interval is not None:
+            trajectory = trajectory.resampled(interval, scene.duration if whole else None)
+        provenance = {**trajectory.provenance, **self.facts(scene)}
+        reason = next(out_of_range(scene, self.data), None)
+        if reason is not None:
+            provenance["out_of_range"] = reason
+        trajectory = replace(trajectory, provenance=provenance)
+        return trajectory if reduction is None else reduction.lift(trajectory)
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Of MPM: those of the data, but for cells of two points per direction."""
-        return {**self.data["mpm"], "points_per_direction": 2, "cell_size": 2 * self.spacing}
+    @contextmanager
+    def processes(self) -> Iterator[int]:
+        """Share runs out among the processes that torchrun has started."""
+        with processes(self.checkpoint.simulator.device) as (rank, _):
+            yield rank
 
-    def work(self, scene: Scene) -> float:
-        """Return that of the learned steps, and of MPM's as if they were learned."""
-        particles, _ = self.size(scene)
-        learned, solved = self.shares(scene)
-        less, cell = self.reduced(scene).scene, self.settings["cell_size"]
-        fastest = max(each.p_wave_speed for each in less.materials.values())
-        steps = solved * self.interval * fastest / (self.settings["courant"] * cell)
-        return float((particles + OVERHEAD) * learned + particles * steps / POINTS_PER_PARTICLE)
+    def record(
+        self,
+        scenes: Sequence[Scene],
+        paths: Sequence[Path],
+        *,
+        interval: float,
+        seed: int,
+        monitor: bool,
+        rank: int = 0,
+    ) -> None:
+        """Run scenes together into files, every frame as soon as it is made; arguments as those of `Solver.record`.
 
-    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory; arguments as those of `Way`."""
-        less = self.reduced(scene)
-        stepper = stabilise(self.checkpoint.simulator, **self.stabilise)
-        early, late = self.shares(scene)
-        past = rollout(stepper, start_of(less.scene, self.checkpoint, seed, {}), early)
-        made = past if "failed_at" in past.provenance else continued_by_mpm(past, self.settings, late)
-        return less.lift(made.resampled(interval, None if "failed_at" in made.provenance else scene.duration))
+        A file that is there, finished or broken off, is gone on with from its last frame; the result is then the one of
+        a single run. Frames are one step apart, whatever `interval` is.
 
+        Raises:
+            InputError: as `Solver.record`.
+            StorageError: likewise; the frames written stay.
+        """
+        reductions = [self.reduced(scene) for scene in scenes]
+        recordings = []
+        for scene, path, reduction in zip(scenes, paths, reductions, strict=True):
+            start = self.start(reduction.scene, seed, {**self.facts(scene), "seed": seed})
+            steps = self.num_steps(reduction.scene)
+            recordings.append(Recording.of(path, start, reduction, steps, history=self.stepper.history_length))
+        runs = [Run(recording.start, recording.num_steps, recording.past, recording.made) for recording in recordings]
+        for run in runs:
+            check_run(run, self.stepper.config)
+            check_reach(run.start, self.stepper.config.connectivity_radius)
+        meet()  # all processes have seen the files as they were
+        left = [(recording, run) for recording, run in zip(recordings, runs, strict=True) if not recording.is_done]
+        watches = [self._watch(run) if monitor else None for _, run in left]
+        if rank:
+            with torch.inference_mode():
+                deque(
+                    unroll(self.stepper, [run for _, run in left], rest=self.policy.rest(), watches=watches), maxlen=0
+                )
+            return
+        if left:
+            self._write([recording for recording, _ in left], [run for _, run in left], watches)
+        for recording in recordings:
+            if recording.is_done:
+                print(f"{recording.path}: {f'complete {recording.ended}' if recording.ended else 'already complete'}")
 
-def plane_of(scene: Scene, dim: int) -> Reduction:
-    """Return the scene that a solver of some dimension runs: the slice of one in plane strain, or the scene itself.
+    def _watch(self, run: Run) -> Watch:
+        before = None if run.past is None else run.past[-1]
+        return Watch(run.start, self.interval, before=before, made=run.made, every=self.policy.every)
 
-    Args:
-        scene: in two or three dimensions.
-        dim: D of the solver.
+    def _write(self, recordings: Sequence[Recording], runs: Sequence[Run], watches: Sequence[Watch | None]) -> None:
+        """Make the steps of all runs together and close every file when its scene is done."""
+        stepper, dt = self.stepper, self.interval
+        for recording in recordings:
+            if recording.reduction.description:
+                print(f"{recording.start.scene.name}: {recording.reduction.description}")
+        if notice := cold_start(stepper.config, self.provenance):
+            print(notice)
+        needs = check_memory(stepper, list(runs), share=share_of_memory(stepper.device))
+        total = max(run.num_steps for run in runs)
+        label = ", ".join(run.start.scene.name for run in runs)
+        known = (
+            " after " + ", ".join(f"{run.made * dt:g} s" for run in runs) if any(r.source for r in recordings) else ""
+        )
+        print(f"{label}: {total} steps of {dt:g} s{known}; {needs}", flush=True)
+        for recording in recordings:
+            recording.open()
+        how = {"device": str(stepper.device), "num_threads": torch.get_num_threads()}
+        frames = dict.fromkeys(range(len(runs)), 0)
 
-    Raises:
-        InputError: a scene in three dimensions that is not in plane strain, or one in two for a solver of three.
-    """
-    if dim == 2 and scene.dim == 3:
-        reasons = {axis: why_not_plane(scene, axis) for axis in (1, 0)}
-        axis = next((axis for axis, reason in reasons.items() if reason is None), None)
-        if axis is None:
-            raise InputError(
-                f"scene {scene.name!r} has 3 dimensions and the simulator 2, and it is not in plane strain: "
-                f"{reasons[1]}."
-            )
-        return to_plane(scene, axis)
-    if dim != scene.dim:
-        raise InputError(f"scene {scene.name!r} has {scene.dim} dimensions, the simulator {dim}.")
-    return Reduction(scene, lambda trajectory: trajectory, "")
+        def on_frame(number: int, position: NDArray[np.float32]) -> None:
+            frames[number] += 1
+            recordings[number].append(position)
 
+        def on_end(number: int, ending: dict[str, object]) -> None:
+            if "at_rest_from" in ending and not self.policy.rest_speed:
+                recordings[number].fill(runs[number].num_steps - frames[number])
+            text = recordings[number].finish({**how, **ending})
+            print(f"{recordings[number].path}: {text}", flush=True)
 
-def start_of(scene: Scene, checkpoint: Checkpoint, seed: int, provenance: Mapping[str, object]) -> Trajectory:
-    """Return a scene filled at the spacing of a checkpoint's data, as irregularly as these are, in one frame.
-
-    Args:
-        scene: what to fill.
-        checkpoint: spacing, time step and data.
-        seed: of the placement.
-        provenance: how the trajectory is made.
-    """
-    config = checkpoint.simulator.config
-    particles = _filled(scene, config.spacing, checkpoint.data, seed)
-    return start_trajectory(scene, particles, config.dt, dict(provenance))
-
-
-def _filled(scene: Scene, spacing: float, data: Mapping[str, Any], seed: int) -> Particles:
-    # Of the data every k-th point of a lattice is kept, and moves in its own, k times smaller, cell.
-    jitter = float(data.get("mpm", {}).get("jitter", 0.0)) / chosen_every(data)
-    return fill_scene(scene, spacing, jitter=jitter, generator=np.random.default_rng(seed))
+        began = time.perf_counter()
+        try:
+            with counting(label, dt) as show:
+                steps = run_to_end(
+                    stepper,
+                    runs,
+                    rest=self.policy.rest(),
+                    watches=watches,
+                    on_frame=on_frame,
+                    on_end=on_end,
+                    on_step=show,
+                )
+        finally:
+            for recording in recordings:
+                recording.close()
+        seconds = time.perf_counter() - began
+        print(
+            f"{steps} steps in {seconds:.1f} s: {steps / seconds:.3g} steps/s, {steps * dt / seconds:.3g} simulated s/s"
+        )
+        for recording in recordings:
+            if message := ood_message(self.checkpoint, recording.path, recording.reduction):
+                print(f"{recording.path}: {message}; verify it with MPM.")

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from gns_pl.errors import InputError
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import characteristic_time, initial_extent
-from gns_pl.solvers.reduction import to_plane, why_not_plane
+from gns_pl.solvers.reduction import not_plane_reason, to_plane
 
 SPANS: Mapping[str, tuple[str, str, float, float]] = {
     "aspect_ratio": ("aspect ratio", "", 1.03, 1.03),
@@ -35,7 +35,7 @@ def setup_of(scene: Scene) -> dict[str, str | float]:
     A scene in plane strain is described by its slice. The upper x wall is left out, as far as it is (`room`).
     """
     for axis in (1, 0):
-        if scene.dim == 3 and why_not_plane(scene, axis) is None:
+        if scene.dim == 3 and not_plane_reason(scene, axis) is None:
             scene = to_plane(scene, axis).scene
     length, height = initial_extent(scene)
     size = math.sqrt(length * height)

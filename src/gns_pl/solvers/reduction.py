@@ -2,7 +2,7 @@
 
 A reduced scene is simulated like any other, and its trajectory lifted back to three dimensions. Where a reduction does
 not hold it is refused with the reason. For the material point method both hold exactly but for rounding and the random
-places of points; a learned simulator has to know the reduced scene (`ways`): one of two dimensions, or a slip wall.
+places of points; a learned simulator has to know the reduced scene: one of two dimensions, or a slip wall.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class Reduction:
     Attributes:
         scene: what is to be simulated.
         lift: makes of its trajectory one of the original scene.
-        words: what was done and why it may be; empty if nothing was.
+        description: what was done and why it may be; empty if nothing was.
         across: axis that a slice lacks; None if it is none.
     """
 
     scene: Scene
     lift: Callable[[Trajectory], Trajectory]
-    words: str
+    description: str
     across: int | None = None
 
     def project(self, position: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -73,15 +73,15 @@ class Reduction:
 def reduce_scene(scene: Scene) -> Reduction:
     """Return the least scene that gives the whole: in plane strain a slice, else a half for each mirror plane."""
     for axis in (1, 0):
-        if scene.dim == 3 and why_not_plane(scene, axis) is None:
+        if scene.dim == 3 and not_plane_reason(scene, axis) is None:
             return to_plane(scene, axis)
     whole, lifts, words = scene, [], []
     for axis in range(scene.dim - 1):
-        if why_not_mirror(scene, axis) is None:
+        if not_mirror_reason(scene, axis) is None:
             half = to_half(scene, axis)
             scene = half.scene
             lifts.append(half.lift)
-            words.append(half.words)
+            words.append(half.description)
 
     def lift(trajectory: Trajectory) -> Trajectory:
         for each in reversed(lifts):
@@ -91,7 +91,7 @@ def reduce_scene(scene: Scene) -> Reduction:
     return Reduction(scene, lift, "; ".join(words))
 
 
-def why_not_plane(scene: Scene, axis: int = 1) -> str | None:
+def not_plane_reason(scene: Scene, axis: int = 1) -> str | None:
     """Return why a scene is not in plane strain across a horizontal axis, or None if it is.
 
     It is where side walls are smooth, bodies and obstacles reach from one to the other, and neither gravity nor an
@@ -135,7 +135,7 @@ def to_plane(scene: Scene, axis: int = 1) -> Reduction:
     Raises:
         InputError: it is not; with the reason.
     """
-    reason = why_not_plane(scene, axis)
+    reason = not_plane_reason(scene, axis)
     if reason:
         raise InputError(f"scene {scene.name!r} is not in plane strain: {reason}.")
 
@@ -186,7 +186,7 @@ def _layers(trajectory: Trajectory, scene: Scene, axis: int) -> Trajectory:
     )
 
 
-def why_not_mirror(scene: Scene, axis: int) -> str | None:
+def not_mirror_reason(scene: Scene, axis: int) -> str | None:
     """Return why a scene is not its own mirror image in the middle of a horizontal axis, or None if it is.
 
     Args:
@@ -228,7 +228,7 @@ def to_half(scene: Scene, axis: int) -> Reduction:
     Raises:
         InputError: it is not; with the reason.
     """
-    reason = why_not_mirror(scene, axis)
+    reason = not_mirror_reason(scene, axis)
     if reason:
         raise InputError(f"scene {scene.name!r} has no mirror plane: {reason}.")
     name, middle = HORIZONTAL[axis], (scene.lower[axis] + scene.upper[axis]) / 2

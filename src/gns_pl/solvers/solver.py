@@ -1,44 +1,172 @@
-"""The ways from a scene to a trajectory: what all of them can say and do, and the material point method.
+"""What leads from a scene to a trajectory: the type of all solvers.
 
-Every way says whether it can be trusted with a scene, about how much work it is, and runs it. What that is worth is
-not known here but measured (`records`), and `choice` picks. Those that learned from data stand in `fitted`.
+A solver says what it cannot run, about how much work a run is, and runs it. What that is worth is not known here but
+measured (`selection`). One of your own is a class with a name and `run` (docs/extend.md).
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
-from gns_pl.mpm import settings as solver
+import gns_pl
+from gns_pl.errors import InputError
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import initial_extent
-from gns_pl.solvers.reduction import Reduction, reduce_scene
+from gns_pl.solvers.recording import is_complete, write_whole
+from gns_pl.solvers.reduction import Reduction
 from gns_pl.trajectory import Trajectory
 
 
-class Way(Protocol):
-    """One way from a scene to a trajectory."""
+class Solver(ABC):
+    """Whatever leads from a scene to a trajectory.
 
-    @property
-    def name(self) -> str:
-        """By which its measured runs are found."""
+    `name` and `run` are enough; everything else has a default that holds for any solver.
 
-    def why_not(self, scene: Scene) -> str | None:
-        """Return why a scene is beyond what this way was made for, or None."""
+    Attributes:
+        name: by which it is asked for, and by which its measured runs are found.
+        group: "mpm", "learned", "corrected", "hybrid", "trivial", or another that tables and charts show.
+        device: on which it runs, "cpu" or "cuda".
+        dtype: of its arithmetic.
+        selectable: a tolerance may choose it, once it was measured.
+    """
+
+    name: str
+    group: str = "other"
+    device: str = "cpu"
+    dtype: str = "float64"
+    selectable: bool = True
+
+    @abstractmethod
+    def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
+        """Return what becomes of a scene.
+
+        Args:
+            scene: what is simulated, over its duration.
+            interval: time between frames [s]; None takes the solver's own.
+            seed: of the particles' placement.
+            monitor: end the run at the first frame that no flow could have, and say so in the provenance
+                ("failed_at" [s], "failure").
+
+        Raises:
+            InputError: a scene that cannot be run, or a run that became unstable.
+        """
+
+    def run_many(
+        self,
+        scenes: Sequence[Scene],
+        *,
+        interval: float | None = None,
+        seed: int | Sequence[int] = 0,
+        monitor: bool = True,
+    ) -> list[Trajectory]:
+        """Return what becomes of every scene; arguments and errors as those of `run`.
+
+        Several seeds are one for each scene.
+        """
+        seeds = [seed] * len(scenes) if isinstance(seed, int) else seed
+        jobs = zip(scenes, seeds, strict=True)
+        return [self.run(scene, interval=interval, seed=number, monitor=monitor) for scene, number in jobs]
+
+    def identity(self) -> str:
+        """Return a hash of all that decides what a run gives."""
+        return hashed([type(self).__module__, type(self).__qualname__, repr(self), gns_pl.__version__])
+
+    def facts(self, scene: Scene) -> dict[str, object]:
+        """Return what the provenance of a scene's file says of the solver; a file with other facts is another run's."""
+        return {"solver": self.name, "version": gns_pl.__version__}
+
+    def unsupported_reason(self, scene: Scene) -> str | None:
+        """Return why it cannot run a scene, or None."""
+        return None
+
+    def out_of_range_reason(self, scene: Scene) -> str | None:
+        """Return what of a scene is outside the range that it was made for, though it would run; or None."""
+        return None
 
     def reduced(self, scene: Scene) -> Reduction:
-        """Return the scene that is run in its place."""
+        """Return the scene that is run in the place of another.
 
-    def size(self, scene: Scene) -> tuple[int, int]:
-        """Return the numbers of particles and of steps of a run."""
+        Raises:
+            InputError: it cannot be run at all.
+        """
+        return Reduction(scene, lambda trajectory: trajectory, "")
 
-    def work(self, scene: Scene) -> float:
+    def size(self, scene: Scene) -> tuple[int, int] | None:
+        """Return the numbers of particles and of steps of a run; None if they are not known before."""
+        return None
+
+    def cost(self, scene: Scene) -> float:
         """Return what a run's time is proportional to."""
+        size = self.size(scene)
+        return 1.0 if size is None else float(math.prod(size))
 
-    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory, with frames `interval` [s] apart."""
+    def file(self) -> Path | None:
+        """Return the file it was read from, if its numbers were trained or fitted."""
+        return None
+
+    def on(self, device: str) -> Solver:
+        """Return the solver on another device.
+
+        Args:
+            device: "cpu", "cuda", or "auto" for where it is measured to run best.
+
+        Raises:
+            InputError: a device that is not there, or on which it cannot run.
+        """
+        if device in ("auto", "cpu"):
+            return self
+        raise InputError(f"device={device}: {self.name} runs on the CPU alone; choose device=cpu.")
+
+    @contextmanager
+    def processes(self) -> Iterator[int]:
+        """Share runs out among the processes that torchrun has started, and give this one's number.
+
+        A solver that cannot share a run out leaves it to the first process.
+        """
+        import os
+
+        yield int(os.environ.get("RANK", "0")) if os.environ.get("WORLD_SIZE", "1") != "1" else 0
+
+    def record(
+        self,
+        scenes: Sequence[Scene],
+        paths: Sequence[Path],
+        *,
+        interval: float,
+        seed: int,
+        monitor: bool,
+        rank: int = 0,
+    ) -> None:
+        """Run scenes into files, as far as these are not complete, and print what became of each.
+
+        This default runs a scene whole and writes it at its end; one that can go on with a broken run overrides it.
+
+        Args:
+            scenes: what is simulated.
+            paths: of their files.
+            interval: time between frames, of solvers that have none of their own [s].
+            seed: as of `run`.
+            monitor: likewise.
+            rank: of this process, as `processes` gave it.
+
+        Raises:
+            InputError: as `run`; or a file of another run in the place of one.
+            StorageError: the disk refuses.
+        """
+        for scene, path in zip(scenes, paths, strict=True) if rank == 0 else ():
+            facts = {**self.facts(scene), "seed": seed}
+            if is_complete(path, scene, facts, interval):
+                print(f"{path}: already complete")
+                continue
+            trajectory = self.run(scene, interval=interval, seed=seed, monitor=monitor)
+            write_whole(path, trajectory, facts)
 
 
 def characteristic_size(scene: Scene) -> float:
@@ -46,64 +174,6 @@ def characteristic_size(scene: Scene) -> float:
     return math.sqrt(math.prod(initial_extent(scene)))
 
 
-@dataclass(frozen=True)
-class MPMWay:
-    """The material point method on cells that are a part of the bodies' size, in two dimensions where that holds.
-
-    Attributes:
-        name: of the way.
-        cells: over √(L0 H0); of no account with `cell_size`.
-        settings: of the solver but for the cells, as in conf/data/.
-        reduces: take slices and halves where they hold.
-        device: "cpu" or "cuda".
-        cell_size: edge of a cell [m]; None takes `cells`.
-    """
-
-    name: str
-    cells: float
-    settings: Mapping[str, Any]
-    reduces: bool = True
-    device: str = "cpu"
-    cell_size: float | None = None
-
-    def why_not(self, scene: Scene) -> str | None:
-        """Return None: it knows every scene."""
-        return None
-
-    def reduced(self, scene: Scene) -> Reduction:
-        """Return the scene's slice, half, or the scene itself."""
-        return reduce_scene(scene) if self.reduces else Reduction(scene, lambda trajectory: trajectory, "")
-
-    def coarser(self, factor: float) -> MPMWay:
-        """Return the same on cells so many times as large."""
-        size = None if self.cell_size is None else self.cell_size * factor
-        return replace(self, name=f"{self.name}_coarser", cells=self.cells / factor, cell_size=size)
-
-    def settings_of(self, scene: Scene) -> dict[str, Any]:
-        """Return the solver's settings for a scene."""
-        size = self.cell_size or characteristic_size(scene) / self.cells
-        return {**self.settings, "cell_size": size}
-
-    def size(self, scene: Scene) -> tuple[int, int]:
-        """Return the number of points and about that of steps."""
-        less, settings = self.reduced(scene).scene, self.settings_of(scene)
-        cell = settings["cell_size"]
-        fastest = max(each.p_wave_speed for each in less.materials.values())
-        drop = max(body.upper[-1] for body in less.bodies) - less.lower[-1]
-        fastest += math.sqrt(2 * math.hypot(*less.gravity) * drop)
-        spacing = cell / settings["points_per_direction"]
-        volume = sum(math.prod(body.size) for body in less.bodies)
-        return round(volume / spacing**less.dim), math.ceil(less.duration * fastest / (settings["courant"] * cell))
-
-    def work(self, scene: Scene) -> float:
-        """Return points × steps."""
-        return float(math.prod(self.size(scene)))
-
-    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory; arguments as those of `Way`."""
-        less, settings = self.reduced(scene), self.settings_of(scene)
-        threads = solver.num_threads_alone(less.scene, settings)
-        made = solver.run_solver(
-            less.scene, settings, frame_interval=interval, seed=seed, device=self.device, num_threads=threads
-        )
-        return less.lift(made)
+def hashed(value: Any) -> str:
+    """Return a short hash of plain values."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()[:16]

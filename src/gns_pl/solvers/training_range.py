@@ -12,7 +12,7 @@ import numpy as np
 from gns_pl.scene import Material, Scene, Wall, part_from_dict, scene_from_dict
 
 
-def beyond(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
+def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
     """Yield what of a scene is beyond a data set, in words.
 
     Args:

@@ -1,4 +1,4 @@
-"""What has to be beaten before anything else counts: ways that compute next to nothing.
+"""What has to be beaten before anything else counts: solvers that compute next to nothing.
 
 Two of them give a flow, of the particles that a coarse run would have: `Still`, in which nothing moves, and
 `Ballistic`, in which every particle flies on its own and stops where it meets the floor. The others, a law of the
@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gns_pl.scene import Scene, fill_scene
-from gns_pl.solvers.reduction import Reduction
-from gns_pl.solvers.solver import characteristic_size
+from gns_pl.solvers.mpm import FRAME_INTERVAL
+from gns_pl.solvers.solver import Solver, characteristic_size
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 
 @dataclass(frozen=True)
-class Still:
+class Still(Solver):
     """Nothing moves.
 
     Attributes:
@@ -30,14 +30,8 @@ class Still:
 
     name: str
     cells: float
-
-    def why_not(self, scene: Scene) -> str | None:
-        """Return None: it takes every scene."""
-        return None
-
-    def reduced(self, scene: Scene) -> Reduction:
-        """Return the scene itself."""
-        return Reduction(scene, lambda trajectory: trajectory, "")
+    group: str = field(default="trivial", init=False)
+    selectable: bool = field(default=False, init=False)
 
     def spacing(self, scene: Scene) -> float:
         """Return the distance of neighbouring particles [m]."""
@@ -48,12 +42,9 @@ class Still:
         volume = sum(math.prod(body.size) for body in scene.bodies)
         return round(volume / self.spacing(scene) ** scene.dim), 1
 
-    def work(self, scene: Scene) -> float:
-        """Return the number of particles."""
-        return float(self.size(scene)[0])
-
-    def run(self, scene: Scene, *, interval: float, seed: int) -> Trajectory:
-        """Return the trajectory; arguments as those of `Way`."""
+    def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
+        """Return the trajectory; arguments as those of `Solver.run`."""
+        interval = interval or FRAME_INTERVAL
         particles = fill_scene(scene, self.spacing(scene), jitter=0.5, generator=np.random.default_rng(seed))
         start = start_trajectory(scene, particles, interval, {"solver": self.name})
         number = round(scene.duration / interval) + 1

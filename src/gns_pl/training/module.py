@@ -13,9 +13,9 @@ from torch_geometric.data import Data
 
 from gns_pl.graph import Draws, Seen, Static
 from gns_pl.metrics.summary import rollout_errors
-from gns_pl.models.checkpoint import KEY, checkpoint_entry
+from gns_pl.models.checkpoint import KEY, Checkpoint, checkpoint_entry
 from gns_pl.models.registry import build_simulator
-from gns_pl.rollout import rollout
+from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.training.clock import Stopwatch
 from gns_pl.training.optimiser import MuonAndAdamW
 from gns_pl.training.perturbation import Perturbation
@@ -147,7 +147,9 @@ class SimulatorModule(LightningModule):
         if reference is None:
             self._validation.add(None)
             return None
-        predicted = rollout(self.simulator, reference, reference.num_frames - 1)
+        solver = LearnedSolver.of(Checkpoint(self.simulator, self.data, self.provenance))
+        # Not monitored, so that a network that is not yet any good has errors too, and not only failures.
+        predicted = solver.run(reference, num_steps=reference.num_frames - 1, monitor=False)
         seconds = cast(float, predicted.provenance["wall_seconds"]) / max(1, predicted.num_frames - 1)
         self._validation.add({**rollout_errors(predicted, reference), STEP_SECONDS: seconds})
         return {"predicted": predicted}

@@ -1,7 +1,7 @@
 """Figures and animations of trajectories, of their curves, of trainings and of sweeps. Nothing is measured here.
 
-matplotlib and pillow (extra `viz`), PyVista, plotly and imageio (extra `viz3d`) are imported inside the functions that
-draw. ParaView series need none of them.
+matplotlib and pillow (extra `viz`), PyVista, plotly and imageio-ffmpeg (extra `viz3d`) are imported inside the
+functions that draw. ParaView series need none of them.
 """
 
 from importlib.util import find_spec

@@ -82,7 +82,8 @@ def write_animation(
         images.append(image)
     beat = max(20, round(1000 * PLAY_SECONDS / len(images) / 10) * 10)
     durations = [beat] * (len(images) - 1) + [round(1000 * HOLD_SECONDS)]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=False)
+    # `optimize` lets Pillow store the pixels that stay as transparent ones: half of the size, and no colour changes.
+    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=True)
 
 
 def _palette(colouring: Colouring) -> list[int]:

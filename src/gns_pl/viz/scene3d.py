@@ -1,13 +1,12 @@
 """Pictures and films of scenes in three dimensions, drawn by VTK without a screen and set in a figure by matplotlib.
 
-PyVista, imageio and matplotlib (extra `viz3d`) are imported inside the functions that draw.
+PyVista, Pillow, imageio-ffmpeg and matplotlib (extra `viz3d`) are imported inside the functions that draw.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -109,7 +108,7 @@ def render_film(
         raise InputError(f"film: its name must end in .mp4 or .gif, not {path.name!r}.")
     if num_frames < 1:
         raise InputError(f"film: num_frames must be at least 1, not {num_frames}.")
-    require("imageio", "imageio_ffmpeg")
+    require("PIL" if path.suffix == ".gif" else "imageio_ffmpeg")
     with Sheet(trajectories, colour, width, limit, QUICK) as sheet, atomic_path(path) as temporary:
         reference = list(trajectories.values())[-1]
         moments = [frame * reference.dt for frame in evenly(reference.num_frames, num_frames)]
@@ -124,16 +123,14 @@ def render_film(
 
 def _write_gif(path: Path, pictures: Iterator[Pixels], beat: float) -> None:
     """Write pictures that stay for `beat` [s] each, over and over again."""
-    import imageio.v2 as imageio
+    from PIL import Image
 
-    writer: Any = imageio.get_writer(path, format="GIF", duration=1000 * beat, loop=0)
-    with writer as film:
-        for picture in pictures:
-            film.append_data(picture)
+    first, *others = map(Image.fromarray, pictures)
+    first.save(path, format="GIF", save_all=True, append_images=others, duration=1000 * beat, loop=0)
 
 
 def _write_mp4(path: Path, pictures: Iterator[Pixels], beat: float, shape: tuple[int, int]) -> None:
-    """Write pictures of a shape that stay for `beat` [s] each; imageio itself goes by a file's ending."""
+    """Write pictures of a shape that stay for `beat` [s] each, as H.264."""
     from imageio_ffmpeg import write_frames
 
     film = write_frames(

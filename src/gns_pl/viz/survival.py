@@ -48,7 +48,8 @@ def plot_survival(curves: Mapping[str, Mapping[str, Steps]], paths: Sequence[Pat
             panel.set_ylabel("without a failure")
         for panel in panels[-1]:
             panel.set_xlabel(r"$t / \tau_c$")
-        handles, labels = panels.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), fontsize=7)
+        shown = {line.get_label(): line for panel in panels.flat for line in panel.lines}  # not all ran on every axis
+        lines = [shown[model] for model in curves if model in shown]
+        figure.legend(handles=lines, loc="outside lower center", ncols=min(4, len(lines)), fontsize=7)
         for path in paths:
             figure.savefig(path)

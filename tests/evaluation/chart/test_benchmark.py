@@ -18,16 +18,17 @@ from gns_pl.evaluation.chart.rows import Tables
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.models.shipped import find_corrector
 from gns_pl.scene import Scene
-from gns_pl.solvers.catalogue import make_ways, simulate_by_choice
+from gns_pl.solvers.catalogue import make_solvers
 from gns_pl.solvers.measured_range import setup_text
-from gns_pl.solvers.selection import choose, read_records, weigh
+from gns_pl.solvers.selection import choose, estimate, read_records
+from gns_pl.solvers.simulate import simulate_by_choice
 from tests.conftest import MPM as SETTINGS
 from tests.conftest import make_simulator
 from tests.evaluation.chart.made_up import folder, row
 from tests.solvers.test_selection import DATA, column
 
 MPM = {**SETTINGS, "precision": "float32"}
-CHOICE = {"learned": [], "corrected": [], "handed": {}, "cells": [3.0, 4.0], "mpm": MPM}
+CHOICE = {"learned": [], "corrected": [], "hybrid": {}, "cells": [3.0, 4.0], "mpm": MPM}
 
 
 def settings(folder: Path, **changes: Any) -> dict[str, Any]:
@@ -118,16 +119,14 @@ def test_a_chart_goes_on_where_it_was_cut_and_feeds_the_choice(
     # The choice goes by it.
     for table in (out / "records.csv", tmp_path / "mine.csv"):
         records = read_records(table)
-        assert {each.way for each in records} == {"mpm_3", "mpm_4", "flat"}
-    ways = make_ways([], [], {}, [3.0, 4.0], MPM)
-    options = {each.way.name: each for each in weigh(scene, ways, records)}
+        assert {each.solver for each in records} == {"mpm_3", "mpm_4", "flat"}
+    ways = make_solvers({"cells": [3.0, 4.0], "mpm": MPM})
+    options = {each.solver.name: each for each in estimate(scene, ways, records)}
     worst = max(abs(row.runout_error) for row in rows if row.name == "mpm_4")
     assert options["mpm_4"].error == pytest.approx(worst) and options["mpm_4"].seconds is not None
     capsys.readouterr()
-    simulate_by_choice(
-        [scene], out=tmp_path / "flows", tolerance=2.0, explain=True, duration=None, seed=0, way=None, rest_speed=0.0,
-        frame_interval=0.02, records=str(out / "records.csv"), stabilise={}, **CHOICE,
-    )  # fmt: skip
+    choice = CHOICE | {"frame_interval": 0.02, "records": str(out / "records.csv")}
+    simulate_by_choice([scene], out=tmp_path / "flows", choice=choice, tolerance=2.0, explain=True)
     assert "chosen: mpm_3, the cheapest of 2" in capsys.readouterr().out
 
 
@@ -199,7 +198,7 @@ def test_the_uncertainty_is_the_largest_of_its_estimates() -> None:
 
 def test_records_take_the_place_of_those_of_the_same_way(tmp_path: Path) -> None:
     new = records_of(folder(tmp_path).runs, dict.fromkeys(("low fine", "high fine"), setup_text(column())))
-    worst = next(each for each in new if (each.way, each.scene) == ("mpm_5", "low"))
+    worst = next(each for each in new if (each.solver, each.scene) == ("mpm_5", "low"))
     assert worst.runout_error == pytest.approx(-0.44) and worst.seconds == 0.1 and worst.device == "a machine"
     path = tmp_path / "deep" / "records.csv"
     others = records_of(
@@ -207,10 +206,12 @@ def test_records_take_the_place_of_those_of_the_same_way(tmp_path: Path) -> None
     )
     assert write_records(path, others) == 3
     assert write_records(path, new) == len(new) + 2
-    assert {(each.way, each.kind) for each in read_records(path)} >= {("mpm_5", "space"), ("gone", "plane")}
+    assert {(each.solver, each.kind) for each in read_records(path)} >= {("mpm_5", "space"), ("gone", "plane")}
     assert max(abs(each.runout_error) for each in read_records(path) if each.kind == "plane") < 2
-    best, why = choose(weigh(column(), make_ways([], [], {}, [5.0, 10.0, 20.0], MPM), read_records(path)), 0.25)
-    assert best.way.name == "mpm_10" and "cheapest of 2" in why
+    best, why = choose(
+        estimate(column(), make_solvers({"cells": [5.0, 10.0, 20.0], "mpm": MPM}), read_records(path)), 0.25
+    )
+    assert best.solver.name == "mpm_10" and "cheapest of 2" in why
     (tmp_path / "other.csv").write_text("way,kind\na,b\n")
     with pytest.raises(InputError, match="is no table of"):
         write_records(tmp_path / "other.csv", new)

@@ -10,16 +10,16 @@ import torch
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.costs import cost_of_entry, shipped_seconds
-from gns_pl.evaluation.chart.entries import Entry
 from gns_pl.models.checkpoint import Checkpoint, read_content, save_checkpoint
 from gns_pl.models.shipped import FOLDER, pretrained_names
-from gns_pl.solvers.learned import CorrectedWay, LearnedWay
+from gns_pl.solvers.corrected import CorrectedSolver
+from gns_pl.solvers.learned import LearnedSolver
 from tests.conftest import make_simulator
 
 
-def entry(path: Path, **provenance: object) -> Entry:
+def entry(path: Path, **provenance: object) -> LearnedSolver:
     save_checkpoint(path, Checkpoint(make_simulator(dim=2), {"name": "collapse_plane"}, dict(provenance)))
-    return Entry(LearnedWay("mine", path), "learned", "hash")
+    return LearnedSolver("mine", path)
 
 
 def test_the_checkpoint_knows(tmp_path: Path) -> None:
@@ -49,5 +49,5 @@ def test_earlier_checkpoints_of_the_trainer_have_its_clock(tmp_path: Path) -> No
 def test_all_that_comes_with_the_package_is_in_its_table() -> None:
     names = [*pretrained_names(), *(path.stem for path in FOLDER.glob("*.corrector"))]
     assert all(shipped_seconds("training", name) for name in names)
-    cost = cost_of_entry(Entry(CorrectedWay("corrected_plane", "corrected_plane"), "corrected", "hash"), {})
+    cost = cost_of_entry(CorrectedSolver("corrected_plane", "corrected_plane"), {})
     assert cost.seconds > 0 and cost.source == "data: costs.csv; training: costs.csv"

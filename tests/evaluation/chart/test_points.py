@@ -76,7 +76,7 @@ def test_verdicts_follow_the_data_and_what_was_timed_in_turns(tmp_path: Path) ->
     tie = verdicts(points, plan().ratios([replace(timed, ratio=0.97)]))[1]  # type: ignore[arg-type]
     assert tie.level and not tie.solver_wins and "Level with MPM as accurate: poor." in caption([tie], points, 0.01)
     text = caption([good, poor], points, 0.01)
-    assert "MPM wins, as accurate in less time, against 1 of 2 trained ways: poor (is 1.12 times faster)." in text
+    assert "MPM wins, as accurate in less time, against 1 of 2 trained solvers: poor (is 1.12 times faster)." in text
     assert "good is ahead: no MPM here is as accurate." in text
 
 

@@ -124,9 +124,9 @@ def finish(
     from gns_pl.evaluation.chart.records import records_of, write_records
 
     made = draw(plan, tables, out, logger=logger)
-    ways = {each.name for each in plan.entries if each.for_choice}
+    selectable = {entry.name for entry in plan.entries if entry.for_choice}
     setups = {each.judged: each.setup for each in plan.scenes}
-    found = records_of((row for row in plan.runs(tables.runs) if row.name in ways), setups)
+    found = records_of((row for row in plan.runs(tables.runs) if row.name in selectable), setups)
     for path in (out / RECORDS, *([Path(records)] if records else [])):
         number = write_records(path, found)
         goes_by = override("choice.records", path)

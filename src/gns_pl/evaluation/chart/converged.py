@@ -146,7 +146,7 @@ def converged(
         flat=reduced.scene if reduced.scene.dim < scene.dim else scene,
         uncertainty=uncertainty_of(ends, cells_per_metre, order),
         identity=hashed([scene.to_dict(), dict(mpm), list(cells_per_metre), placements, interval]),
-        words=f"MPM on {finest}{f' ({reduced.words})' if reduced.words else ''}",
+        words=f"MPM on {finest}{f' ({reduced.description})' if reduced.description else ''}",
     )
 
 

@@ -1,4 +1,4 @@
-"""What a trained way cost before it ran its first scene: the data it learned from, and the training.
+"""What a trained solver cost before it ran its first scene: the data it learned from, and the training.
 
 New checkpoints carry it in their provenance; earlier ones of the trainer know their own wall time; what comes with the
 package stands in `pretrained/costs.csv`, made before checkpoints knew. What nobody knows can be told (`costs=`).
@@ -12,10 +12,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation.chart.entries import Entry, path_of
 from gns_pl.evaluation.chart.plan import Cost
 from gns_pl.models.shipped import FOLDER
-from gns_pl.solvers.learned import CorrectedWay, LearnedWay
+from gns_pl.solvers.hybrid import HybridSolver
+from gns_pl.solvers.learned import LearnedSolver
+from gns_pl.solvers.solver import Solver
+from gns_pl.solvers.trained import TrainedSolver
 
 KEYS = ("data_seconds", "train_seconds")
 
@@ -32,8 +34,8 @@ def shipped_seconds(what: str, name: str) -> float | None:
     return found[0] if found else None
 
 
-def cost_of_entry(entry: Entry, told: Mapping[str, Any]) -> Cost:
-    """Return what a trained way cost.
+def cost_of_entry(entry: Solver, told: Mapping[str, Any]) -> Cost:
+    """Return what a trained solver cost.
 
     Args:
         entry: of a trained group.
@@ -45,22 +47,22 @@ def cost_of_entry(entry: Entry, told: Mapping[str, Any]) -> Cost:
     given = told.get(entry.name) or {}
     if set(given) - set(KEYS) or not all(isinstance(each, int | float) and each >= 0 for each in given.values()):
         raise InputError(f"costs.{entry.name}: takes {' and '.join(KEYS)}, numbers of seconds, not {given}.")
-    path, way = path_of(entry), entry.way
-    if path is None or not isinstance(way, LearnedWay | CorrectedWay):
+    path = entry.file()
+    trained = entry.learned if isinstance(entry, HybridSolver) else entry
+    if path is None or not isinstance(trained, TrainedSolver):
         return Cost(math.nan, math.nan, "nothing was trained")
-    file = way.checkpoint if isinstance(way, LearnedWay) else way.file
-    known: dict[str, Any] = dict(file.provenance.get("cost") or {})
+    known: dict[str, Any] = dict(trained.provenance.get("cost") or {})
     shipped = path.parent == FOLDER
     found = {
         "data_seconds": (
             ("told", given.get("data_seconds")),
             ("provenance", known.get("data_seconds")),
-            ("costs.csv", shipped_seconds("data", str(file.data.get("name")))),
+            ("costs.csv", shipped_seconds("data", str(trained.data.get("name")))),
         ),
         "train_seconds": (
             ("told", given.get("train_seconds")),
             ("provenance", known.get("train_seconds")),
-            ("the trainer's clock", _clock_seconds(entry)),
+            ("the trainer's clock", _clock_seconds(trained)),
             ("costs.csv", shipped_seconds("training", path.stem) if shipped else None),
         ),
     }
@@ -72,11 +74,11 @@ def cost_of_entry(entry: Entry, told: Mapping[str, Any]) -> Cost:
     return Cost(values[0], values[1], "; ".join(sources))
 
 
-def _clock_seconds(entry: Entry) -> float | None:
+def _clock_seconds(solver: TrainedSolver) -> float | None:
     """Return the wall time that the trainer's own checkpoints hold [s]."""
-    if not isinstance(entry.way, LearnedWay):
+    if not isinstance(solver, LearnedSolver) or solver.path is None:
         return None
     from gns_pl.models.checkpoint import read_content
 
-    clock = (read_content(entry.way.path).get("callbacks") or {}).get("Clock") or {}
+    clock = (read_content(solver.path).get("callbacks") or {}).get("Clock") or {}
     return float(clock["seconds"]) if "seconds" in clock else None

@@ -12,7 +12,7 @@ from gns_pl.evaluation.chart import speed
 from gns_pl.evaluation.chart.batches import can_batch, measure_batches
 from gns_pl.evaluation.chart.converged import converged
 from gns_pl.evaluation.chart.costs import cost_of_entry
-from gns_pl.evaluation.chart.entries import Entry, make_entries
+from gns_pl.evaluation.chart.entries import make_entries
 from gns_pl.evaluation.chart.plan import LEARNED, EntryFacts, Plan, write_plan
 from gns_pl.evaluation.chart.points import points_of
 from gns_pl.evaluation.chart.rows import Tables
@@ -22,12 +22,11 @@ from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.generation import reference_trajectory
 from gns_pl.machine import available_cores
 from gns_pl.metrics.curves import compute_curves
-from gns_pl.models.checkpoint import move
 from gns_pl.mpm.settings import choose_device
 from gns_pl.scene import Scene
-from gns_pl.solvers.learned import LearnedWay
 from gns_pl.solvers.reduction import reduce_scene
 from gns_pl.solvers.selection import kind_of
+from gns_pl.solvers.solver import Solver
 from gns_pl.solvers.trivial import FittedLaw
 
 
@@ -60,20 +59,20 @@ def measure(
         tables: filled, row by row.
         plan_path: where the plan is written, once it is known what there is to measure.
         ckpt: checkpoints besides those of the choice.
-        choice: the ways of `simulate.py` (conf/choice).
+        choice: the solvers of `simulate.py` (conf/choice).
         cache: folder of reference runs.
         frame_interval: time between frames [s].
         placements: of each setting and scene, one timed run each.
         threads: of a run; None for all cores.
         device: "auto", "cpu" or "cuda".
         reference: {plane, space: {cells_per_metre, placements}, order}, as `converged.converged`.
-        variants: of MPM, as `entries.solver_ways`.
+        variants: of MPM, as `entries.mpm_variants`.
         extrapolate: {pairs of cells, order}.
         trivial: {cells} whose particles the trivial baselines have.
         stabilise: arguments of `rollout.stabilise.stabilise`, for learned runs.
         law: as `fit_law`.
         batches: {sizes, turns}; no sizes, no throughput.
-        ratios: {turns} of trained ways and MPM; 0 for none.
+        ratios: {turns} of trained solvers and MPM; 0 for none.
         costs: name → {data_seconds, train_seconds} that checkpoints do not know.
 
     Raises:
@@ -114,7 +113,7 @@ def measure(
             command=f"python {run()['command']}",
             scenes=tuple(each.facts for each in judged),
             together=speed.judged_together(judged),
-            entries=tuple(EntryFacts(e.name, e.group, e.identity, e.device, e.for_choice) for e in entries),
+            entries=tuple(EntryFacts(e.name, e.group, e.identity(), e.device, e.selectable) for e in entries),
             left_out=left_out,
             places=places,
             placements=placements,
@@ -159,20 +158,20 @@ def learned_device(device: str) -> str:
     return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def runnable(entries: Sequence[Entry], scenes: Sequence[Scene]) -> tuple[list[Entry], dict[str, str]]:
-    """Return the settings that can run all scenes, their simulators on their devices, and why the others cannot."""
+def runnable(entries: Sequence[Solver], scenes: Sequence[Scene]) -> tuple[list[Solver], dict[str, str]]:
+    """Return the solvers that can run all scenes, and why the others cannot."""
     kept, left_out = [], {}
     for entry in entries:
-        reason = next((why for scene in scenes if (why := entry.way.why_not(scene)) is not None), None)
-        if entry.whole and scenes[0].dim == 2:
-            reason = "the scene has two dimensions"
+        reason = next((why for scene in scenes if (why := _reason(entry, scene)) is not None), None)
         if reason is not None:
             left_out[entry.name] = reason
             continue
-        if type(entry.way) is LearnedWay:
-            move(entry.way.checkpoint, entry.device, "device")
         kept.append(entry)
     return kept, left_out
+
+
+def _reason(solver: Solver, scene: Scene) -> str | None:
+    return solver.unsupported_reason(scene) or solver.out_of_range_reason(scene)
 
 
 def fit_law(law: Mapping[str, Any], mpm: Mapping[str, Any], interval: float, cache: Path) -> tuple[FittedLaw, float]:

@@ -19,7 +19,7 @@ from gns_pl.text import command
 
 FORMAT, FORMAT_VERSION = "gns_pl chart", 1
 
-LEARNED = ("learned", "corrected", "handed")
+LEARNED = ("learned", "corrected", "hybrid")
 """Groups that were trained."""
 
 

@@ -1,4 +1,4 @@
-"""From the chart to the choice: its runs as the table by which `simulate.py tolerance=…` knows what a way is worth."""
+"""From the chart to the choice: its runs as the table by which `simulate.py tolerance=…` chooses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gns_pl.solvers.selection import Record, read_records
 
 
 def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) -> list[Record]:
-    """Return one record for every way, scene, machine and number of threads: the largest errors, the median time.
+    """Return one record for every solver, scene, machine and number of threads: the largest errors, the median time.
 
     Args:
         rows: runs; those that failed count as infinitely wrong.
@@ -23,7 +23,7 @@ def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) 
         groups.setdefault((row.name, row.kind, row.scene, row.threads, row.machine), []).append(row)
     return [
         Record(
-            way=name,
+            solver=name,
             kind=kind,
             scene=scene,
             runout_error=max((row.runout_error for row in found), key=abs),
@@ -42,7 +42,7 @@ def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) 
 
 
 def write_records(path: Path, records: Sequence[Record]) -> int:
-    """Put records into a table, in the place of those of the same way, kind and number of threads; others stay.
+    """Put records into a table, in the place of those of the same solver, kind and number of threads; others stay.
 
     Args:
         path: the table; made, with its folder, if it is not there.
@@ -54,9 +54,9 @@ def write_records(path: Path, records: Sequence[Record]) -> int:
     Raises:
         InputError: the file there is another table.
     """
-    new = {(each.way, each.kind, each.threads) for each in records}
+    new = {(each.solver, each.kind, each.threads) for each in records}
     there = read_records(path) if path.exists() else []
-    kept = [each for each in there if (each.way, each.kind, each.threads) not in new]
+    kept = [each for each in there if (each.solver, each.kind, each.threads) not in new]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_table(path, Record, [*kept, *records])
     return len(kept) + len(records)

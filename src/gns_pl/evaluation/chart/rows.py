@@ -39,7 +39,7 @@ class RunRow:
 
     Attributes:
         name: of the setting.
-        group: "mpm", "learned", "corrected", "handed" or "trivial".
+        group: "mpm", "learned", "corrected", "hybrid" or "trivial".
         identity: hash of all that decides the run: settings and solver, or the checkpoint's file.
         kind: of the scene, "plane" or "space".
         scene: its name.
@@ -52,7 +52,7 @@ class RunRow:
         dtype: of its arithmetic.
         particles: of what was run.
         steps: likewise.
-        work: what the time is proportional to (`Way.work`).
+        work: what the time is proportional to (`Solver.work`).
         runout: final, 99 % of the mass [L0]; NaN if the run failed.
         runout_error: relative, signed; infinite if it failed, as the next three.
         curve_error: mean absolute difference of the 99 % runout over time, over its final value.

@@ -23,11 +23,12 @@ import torch
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.converged import Converged, errors_of, hashed
-from gns_pl.evaluation.chart.entries import Entry
+from gns_pl.evaluation.chart.entries import scene_of
 from gns_pl.evaluation.chart.rows import Place, RatioRow, RunRow, Table
 from gns_pl.io import write_trajectory
 from gns_pl.machine import available_cores, machine_name
 from gns_pl.solvers.selection import kind_of
+from gns_pl.solvers.solver import Solver
 from gns_pl.trajectory import Trajectory
 
 PACKAGES = ("gns_pl", "torch", "numba", "numpy")
@@ -80,18 +81,18 @@ def on_threads(number: int) -> Iterator[int]:
         numba.set_num_threads(held)
 
 
-def timed_run(entry: Entry, judged: Converged, seed: int) -> tuple[Trajectory | None, float]:
+def timed_run(entry: Solver, judged: Converged, seed: int) -> tuple[Trajectory | None, float]:
     """Return what a setting makes of a scene, None if it fails, and the wall time [s]."""
     began = time.perf_counter()
     try:
-        made: Trajectory | None = entry.run(judged, seed)
+        made: Trajectory | None = entry.run(scene_of(entry, judged), interval=judged.interval, seed=seed)
     except InputError:  # a run that became unstable says so; what cannot run at all was refused before
         made = None
     return made, time.perf_counter() - began
 
 
 def measure_runs(
-    entries: Sequence[Entry],
+    entries: Sequence[Solver],
     scenes: Sequence[Converged],
     table: Table[RunRow],
     places: Mapping[str, Place],
@@ -137,23 +138,23 @@ def measure_runs(
 
 
 def _measured(
-    entry: Entry, judged: Converged, seed: int, place: Place, first_seconds: float, file_seconds: float
+    entry: Solver, judged: Converged, seed: int, place: Place, first_seconds: float, file_seconds: float
 ) -> RunRow:
     made, seconds = timed_run(entry, judged, seed)
-    scene = entry.scene_of(judged)
-    particles, steps = entry.way.size(scene)
+    scene = scene_of(entry, judged)
+    particles, steps = entry.size(scene) or (0, 0)
     return RunRow(
-        name=entry.name, group=entry.group, identity=entry.identity, kind=kind_of(judged.scene),
+        name=entry.name, group=entry.group, identity=entry.identity(), kind=kind_of(judged.scene),
         scene=judged.scene.name, judged=judged.identity, placement=seed, machine=place.machine, device=place.device,
-        threads=place.threads, dim=entry.way.reduced(scene).scene.dim, dtype=entry.dtype, particles=particles,
-        steps=steps, work=entry.way.work(scene), seconds=seconds, first_seconds=first_seconds,
+        threads=place.threads, dim=entry.reduced(scene).scene.dim, dtype=entry.dtype, particles=particles,
+        steps=steps, work=entry.cost(scene), seconds=seconds, first_seconds=first_seconds,
         file_seconds=file_seconds, versions=place.versions, session=place.session, **errors_of(made, judged),
     )  # fmt: skip
 
 
-def _is_there(table: Table[RunRow], entry: Entry, judged: Converged, seed: int, place: Place) -> bool:
+def _is_there(table: Table[RunRow], entry: Solver, judged: Converged, seed: int, place: Place) -> bool:
     key = {
-        "name": entry.name, "identity": entry.identity, "scene": judged.scene.name, "judged": judged.identity,
+        "name": entry.name, "identity": entry.identity(), "scene": judged.scene.name, "judged": judged.identity,
         "placement": seed, "machine": place.machine, "device": place.device, "threads": place.threads,
     }  # fmt: skip
     return table.find(**key) is not None
@@ -169,7 +170,7 @@ def _file_seconds(made: Trajectory | None, folder: Path) -> float:
 
 
 def measure_ratios(
-    pairs: Sequence[tuple[Entry, Entry]],
+    pairs: Sequence[tuple[Solver, Solver]],
     scenes: Sequence[Converged],
     table: Table[RatioRow],
     places: Mapping[str, Place],
@@ -191,7 +192,7 @@ def measure_ratios(
     for own, other in pairs:
         place = places[own.device]
         key = {
-            "name": own.name, "identity": own.identity, "other": other.name, "other_identity": other.identity,
+            "name": own.name, "identity": own.identity(), "other": other.name, "other_identity": other.identity(),
             "judged": judged, "machine": place.machine, "threads": place.threads,
         }  # fmt: skip
         if table.find(**key) is not None:

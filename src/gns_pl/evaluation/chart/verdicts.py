@@ -1,4 +1,4 @@
-"""Who wins, by trained way: the fastest material point run as accurate, and the most accurate one as fast."""
+"""Who wins, by trained solver: the fastest material point run as accurate, and the most accurate one as fast."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ TIE = 0.05
 
 @dataclass(frozen=True)
 class Verdict:
-    """What MPM has to set against a trained way.
+    """What MPM has to set against a trained solver.
 
     Attributes:
-        own: the trained way.
+        own: the trained solver.
         as_good: the fastest MPM of equal or less error; None if none on the chart is as accurate.
         as_fast: the most accurate MPM of equal or less time; None if none on the chart is as fast.
         good_ratio: time of `as_good` over the own, as far as it is known measured in turns.
@@ -73,7 +73,7 @@ class Verdict:
 
 
 def verdicts(points: Sequence[Point], ratios: Iterable[RatioRow] = ()) -> list[Verdict]:
-    """Return a verdict on every trained way.
+    """Return a verdict on every trained solver.
 
     Args:
         points: of the chart.

@@ -22,7 +22,7 @@ def caption(found: Sequence[Verdict], points: Sequence[Point], band: float) -> s
     """Return what stands under the figure: where MPM wins, where not, and what the trivial baselines do.
 
     Args:
-        found: verdict on every trained way.
+        found: verdict on every trained solver.
         points: of the chart.
         band: uncertainty of the reference, relative.
     """
@@ -32,9 +32,11 @@ def caption(found: Sequence[Verdict], points: Sequence[Point], band: float) -> s
     parts = []
     if won:
         names = ", ".join(f"{each.own.name} ({pace_of(each.good_ratio or 1.0)})" for each in won)
-        parts.append(f"MPM wins, as accurate in less time, against {len(won)} of {len(found)} trained ways: {names}.")
+        parts.append(
+            f"MPM wins, as accurate in less time, against {len(won)} of {len(found)} trained solvers: {names}."
+        )
     elif found:
-        parts.append(f"MPM wins against none of {len(found)} trained ways.")
+        parts.append(f"MPM wins against none of {len(found)} trained solvers.")
     if level:
         parts.append(f"Level with MPM as accurate: {', '.join(level)}.")
     for each in lost:
@@ -68,7 +70,7 @@ def page(
     Args:
         plan: of the chart.
         points: of the chart, compared.
-        found: verdict on every trained way.
+        found: verdict on every trained solver.
         rows: name of every setting → its runs.
         batches: throughput.
         under: the figure's caption.
@@ -81,7 +83,7 @@ def page(
     number = min((each.runs for each in points if each.group == "mpm"), default=0) // max(1, len(scenes))
     few = " **Fewer than five: a quick look, not a measurement.**" if number < 5 else ""
     mixed = len({row.session for runs in rows.values() for row in runs}) > 1
-    sittings = " (in several sittings here; ratios of trained ways and MPM are from one)" if mixed else ""
+    sittings = " (in several sittings here; ratios of trained solvers and MPM are from one)" if mixed else ""
     lines = [
         "# Speed against accuracy",
         "",
@@ -135,7 +137,7 @@ def page(
         "N* = (data + training) / (MPM's time of equal error, along its line − own time): scenes until it has paid.",
         "",
         *_table(
-            ("way", "data", "training", "own time", "MPM's of equal error", "N*", "known from"),
+            ("solver", "data", "training", "own time", "MPM's of equal error", "N*", "known from"),
             [(*_cost_cells(each), known.get(each.name, "")) for each in spent],
         ),
     ]

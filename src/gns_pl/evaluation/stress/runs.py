@@ -23,8 +23,8 @@ from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene import Particles, fill_scene
 from gns_pl.scene.extent import characteristic_time
-from gns_pl.solvers.familiarity import familiarity
-from gns_pl.solvers.training_range import beyond
+from gns_pl.solvers.ood import compute_ood
+from gns_pl.solvers.training_range import out_of_range
 from gns_pl.trajectory import Trajectory, start_trajectory
 
 
@@ -180,10 +180,10 @@ def _learned(subject: Subject, stress: StressScene, seed: int, cache: Path) -> O
     began = time.perf_counter()
     made = rollout(subject.stepper or checkpoint.simulator, start, round(scene.duration / config.dt), watch=watch)
     seconds = time.perf_counter() - began
-    seen = familiarity(checkpoint, made, every=max(1, made.num_frames // 100))
+    seen = compute_ood(checkpoint, made, every=max(1, made.num_frames // 100))
     usual = stress.coarseness == 1 and stress.jitter is None and not stress.shake and not stress.displaced
-    inside = usual and next(beyond(scene, data), None) is None
-    return made, watch, seconds, inside, None if seen is None else seen.left_at
+    inside = usual and next(out_of_range(scene, data), None) is None
+    return made, watch, seconds, inside, None if seen is None else seen.exit_time
 
 
 def _solved(subject: Subject, stress: StressScene, seed: int, cache: Path) -> Outcome:

@@ -1,7 +1,7 @@
 """How far a run is from what its network saw in training: over time, in one early number, and in words.
 
-It is told by a run's own states (`graph.Seen`) and by its scene (`training_range.beyond`), since neither shows all: no
-state shows the floor's friction, and no scene that a heap falls apart.
+It is told by a run's own states (`graph.Seen`) and by its scene (`training_range.out_of_range`), since neither shows
+all: no state shows the floor's friction, and no scene that a heap falls apart.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gns_pl.io import read_header, read_trajectory
 from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.rollout.engine import static_of
 from gns_pl.solvers.reduction import Reduction
-from gns_pl.solvers.training_range import beyond
+from gns_pl.solvers.training_range import out_of_range
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 LIMIT = 0.1
@@ -26,7 +26,7 @@ training were. That share is one in a hundred in the mean of training, up to a t
 
 
 @dataclass(frozen=True)
-class Familiarity:
+class OutOfDistribution:
     """How far off the frames of a run are.
 
     Attributes:
@@ -48,12 +48,12 @@ class Familiarity:
     reasons: tuple[str, ...]
 
     @property
-    def left_at(self) -> float | None:
+    def exit_time(self) -> float | None:
         """Time of the first frame out of the training range [s]; None if there is none."""
         found = np.flatnonzero(self.share > LIMIT)
         return float(self.time[found[0]]) if len(found) else None
 
-    def early(self, until: float) -> float:
+    def early_score(self, until: float) -> float:
         """Return the largest mean distance of the frames up to a time.
 
         Args:
@@ -61,14 +61,14 @@ class Familiarity:
         """
         return float(self.mean[self.time <= until + 1e-9].max())
 
-    def sentence(self) -> str | None:
+    def message(self) -> str | None:
         """Return when the run left the training range and in what, and what of the scene is beyond; None if nothing."""
         parts = []
-        if self.left_at is not None:
+        if self.exit_time is not None:
             worst = np.argsort(-self.outside, kind="stable")
-            words = list(dict.fromkeys(self.names[place] for place in worst if self.outside[place] > LIMIT))[:3]
-            in_what = f" ({', '.join(words)})" if words else ""
-            parts.append(f"left the training range at {self.left_at:.3g} s{in_what}")
+            names = list(dict.fromkeys(self.names[place] for place in worst if self.outside[place] > LIMIT))[:3]
+            in_what = f" ({', '.join(names)})" if names else ""
+            parts.append(f"left the training range at {self.exit_time:.3g} s{in_what}")
         if self.reasons:
             parts.append(f"scene outside the training data ({self.reasons[0]})")
         return "; ".join(parts) or None
@@ -78,8 +78,8 @@ FRAMES, NUMBERS = 40, 100_000_000
 """Of a run in a file so many frames are looked at, and at none if it holds more coordinates than so many."""
 
 
-def told(checkpoint: Checkpoint, path: Path, reduction: Reduction | None = None) -> str | None:
-    """Return the sentence of a run in a file; None if there is nothing to tell, or nothing by which to tell.
+def ood_message(checkpoint: Checkpoint, path: Path, reduction: Reduction | None = None) -> str | None:
+    """Return the message about a run in a file; None if there is nothing to tell, or nothing by which to tell.
 
     Args:
         checkpoint: simulator, data and what it saw.
@@ -91,11 +91,11 @@ def told(checkpoint: Checkpoint, path: Path, reduction: Reduction | None = None)
         return None
     run = read_trajectory(path)
     run = run if reduction is None else reduction.flatten(run)
-    found = familiarity(checkpoint, run, every=max(1, header.num_frames // FRAMES))
-    return None if found is None else found.sentence()
+    found = compute_ood(checkpoint, run, every=max(1, header.num_frames // FRAMES))
+    return None if found is None else found.message()
 
 
-def familiarity(checkpoint: Checkpoint, run: Trajectory, *, every: int = 1) -> Familiarity | None:
+def compute_ood(checkpoint: Checkpoint, run: Trajectory, *, every: int = 1) -> OutOfDistribution | None:
     """Follow a run from what its network saw.
 
     Args:
@@ -126,12 +126,12 @@ def familiarity(checkpoint: Checkpoint, run: Trajectory, *, every: int = 1) -> F
             share.append(float((distance > 1).float().mean()))
             outside.append(seen.outside(state).float().mean(dim=0).cpu().numpy())
     worst = int(np.argmax(share))
-    return Familiarity(
+    return OutOfDistribution(
         time=np.array(frames) * config.dt,
         mean=np.array(mean),
         far=np.array(far),
         share=np.array(share),
         outside=np.asarray(outside[worst], dtype=np.float64),
         names=seen.names,
-        reasons=tuple(beyond(run.scene, checkpoint.data)),
+        reasons=tuple(out_of_range(run.scene, checkpoint.data)),
     )

@@ -11,10 +11,11 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.mpm.settings import run_solver, stepped_run
+from gns_pl.rollout.policy import Policy
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.solvers.correction import points_of
-from gns_pl.solvers.handover import continued_by_mpm
-from gns_pl.solvers.learned import HandedWay
+from gns_pl.solvers.hybrid import HybridSolver, continued_by_mpm
+from gns_pl.solvers.learned import LearnedSolver
 from tests.conftest import MPM as mpm_settings
 from tests.conftest import SAND, make_simulator
 from tests.solvers.test_selection import DATA
@@ -56,20 +57,21 @@ def test_a_falling_body_falls_on() -> None:
     np.testing.assert_allclose(again.position.mean(axis=1), whole.position.mean(axis=1), atol=6e-4)
 
 
-def test_a_way_in_two_hands(tmp_path: Path) -> None:
+def test_a_learned_run_goes_on_by_mpm(tmp_path: Path) -> None:
     simulator = make_simulator(dim=2, spacing=0.05, connectivity_radius=0.1)
     save_checkpoint(tmp_path / "flat.ckpt", Checkpoint(simulator, {**DATA, "mpm": MPM}, {}))
-    way = HandedWay("both", tmp_path / "flat.ckpt", until=0.4)
+    learned = LearnedSolver("flat", tmp_path / "flat.ckpt", Policy({}))
+    solver = HybridSolver("both", learned, until=0.4)
     scene = column(dim=3)
-    assert way.shares(scene) == (7, 13) and way.work(scene) > 0
-    made = way.run(scene, interval=0.01, seed=0)
+    assert solver.shares(scene) == (7, 13) and solver.cost(scene) > 0
+    made = solver.run(scene, interval=0.01, seed=0)
     assert made.scene == scene and made.num_frames == 21 and np.isfinite(made.position).all()
     assert made.mass.sum() == pytest.approx(1800 * 0.3 * 0.3 * 0.3, rel=1e-5)
     assert made.position.min() >= 0
-    other = HandedWay("both", tmp_path / "flat.ckpt", until=9.0)
+    other = HybridSolver("both", learned, until=9.0)
     assert other.shares(scene) == (20, 0) and other.run(scene, interval=0.01, seed=0).num_frames == 21
 
 
-def test_what_makes_no_such_way_is_refused() -> None:
+def test_what_makes_no_hybrid_is_refused() -> None:
     with pytest.raises(InputError, match="until above 0"):
-        HandedWay("both", "x", until=0.0)
+        HybridSolver("both", LearnedSolver("x", "x"), until=0.0)

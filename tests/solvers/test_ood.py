@@ -16,11 +16,11 @@ from gns_pl.models.checkpoint import KEY, Checkpoint, load_checkpoint, save_chec
 from gns_pl.rollout import rollout, static_of
 from gns_pl.rollout.engine import Run, history_of
 from gns_pl.scene import Scene
-from gns_pl.solvers.familiarity import Familiarity, familiarity, told
-from gns_pl.solvers.learned import start_of
-from gns_pl.solvers.simulate import simulate
+from gns_pl.solvers.learned import LearnedSolver
+from gns_pl.solvers.ood import OutOfDistribution, compute_ood, ood_message
 from gns_pl.trajectory import Trajectory
 from tests.conftest import make_moving, make_simulator, make_start
+from tests.solvers.simulated import simulate_learned
 
 
 def sampled(number: int = 4000) -> torch.Tensor:
@@ -86,10 +86,10 @@ def known(drop: Scene) -> tuple[Checkpoint, Trajectory]:
 
 def test_training_like_frames_are_familiar(known: tuple[Checkpoint, Trajectory]) -> None:
     checkpoint, motion = known
-    found = familiarity(checkpoint, motion)
+    found = compute_ood(checkpoint, motion)
     assert found is not None and len(found.time) == len(found.mean) == 12
-    assert found.share.mean() < 0.05 and found.left_at is None and found.early(0.05) < 1
-    thinned = familiarity(checkpoint, motion, every=3)
+    assert found.share.mean() < 0.05 and found.exit_time is None and found.early_score(0.05) < 1
+    thinned = compute_ood(checkpoint, motion, every=3)
     assert thinned is not None
     np.testing.assert_allclose(thinned.mean, found.mean[::3])
 
@@ -101,12 +101,12 @@ def test_twice_the_speed_and_a_squeezed_lattice_are_not(known: tuple[Checkpoint,
     middle = motion.position.mean(axis=1, keepdims=True)
     squeezed = replace(motion, position=(middle + 0.7 * (motion.position - middle)).astype(np.float32))
     for strange in (fast, squeezed):
-        found = familiarity(checkpoint, strange)
-        assert found is not None and found.left_at == 0.0 and found.share[0] > 0.3
-        assert "left the training range at 0 s" in str(found.sentence())
+        found = compute_ood(checkpoint, strange)
+        assert found is not None and found.exit_time == 0.0 and found.share[0] > 0.3
+        assert "left the training range at 0 s" in str(found.message())
     tilted = replace(motion, scene=motion.scene.replace(gravity=(3.0, 0.0, -9.0)))
-    found = familiarity(checkpoint, tilted)
-    assert found is not None and "gravity" in str(found.sentence())
+    found = compute_ood(checkpoint, tilted)
+    assert found is not None and "gravity" in str(found.message())
 
 
 def test_a_round_trip_keeps_it_and_an_old_checkpoint_has_none(
@@ -116,14 +116,14 @@ def test_a_round_trip_keeps_it_and_an_old_checkpoint_has_none(
     path = tmp_path / "model.ckpt"
     save_checkpoint(path, checkpoint)
     again = load_checkpoint(path)
-    one, two = familiarity(checkpoint, motion), familiarity(again, motion)
-    assert isinstance(one, Familiarity) and isinstance(two, Familiarity)
+    one, two = compute_ood(checkpoint, motion), compute_ood(again, motion)
+    assert isinstance(one, OutOfDistribution) and isinstance(two, OutOfDistribution)
     np.testing.assert_array_equal(one.mean, two.mean)
     assert one.names == two.names == tuple(checkpoint.simulator.state_names())
     content = torch.load(path, weights_only=True)
     del content[KEY]["seen"]
     torch.save(content, path)
-    assert load_checkpoint(path).seen is None and familiarity(load_checkpoint(path), motion) is None
+    assert load_checkpoint(path).seen is None and compute_ood(load_checkpoint(path), motion) is None
 
 
 def test_states_have_as_many_names_as_columns(drop: Scene, column: Scene) -> None:
@@ -139,10 +139,10 @@ def test_shipped_checkpoints_know_columns_of_theirs_and_not_those_of_the_moon(
     checkpoint = load_checkpoint("collapse_plane")
     settings = {"only": None, "domain": [2.0, 0.7], "duration": 2.0, "interval": 0.02, "data": checkpoint.data}
     scene = build_scenes({"column": {"length": 0.3, "height": 0.3}}, None, **settings)["column"]
-    found = familiarity(checkpoint, rollout(checkpoint.simulator, start_of(scene, checkpoint, 0, {}), 20))
-    assert found is not None and found.sentence() is None and found.early(0.2) < 0.6
+    found = compute_ood(checkpoint, rollout(checkpoint.simulator, LearnedSolver.of(checkpoint).start(scene), 20))
+    assert found is not None and found.message() is None and found.early_score(0.2) < 0.6
     moon = scene.replace(gravity=(0.0, -1.62), name="moon", duration=0.2)
-    paths = simulate("collapse_plane", [scene.replace(duration=0.2), moon], out=tmp_path)
+    paths = simulate_learned("collapse_plane", [scene.replace(duration=0.2), moon], out=tmp_path)
     printed = capsys.readouterr().out
     assert "moon.h5: left the training range at 0 s (gravity)" in printed and "its gravity was 9.81" in printed
-    assert "column.h5: left" not in printed and told(checkpoint, paths[0]) is None
+    assert "column.h5: left" not in printed and ood_message(checkpoint, paths[0]) is None
