@@ -34,7 +34,7 @@ def test_one_entry_is_all_that_a_number_needs(tmp_path: Path) -> None:
     (entry,) = blocks("A number in the report")
     overlay = Overlay(tmp_path)
     end = ')\n"""Every number about one run'
-    overlay.edit("metrics/quantities.py", (end, entry + end))
+    overlay.edit("metrics/quantities.py", (end, f"{entry},\n{end}"))
     printed = overlay.run(PROGRAM)
     scene = json.loads((tmp_path / "out" / "metrics.json").read_text())["scenes"]["short"]
     reach, truth = scene["learned"]["reach"], scene["reference"]["reach"]
