@@ -19,10 +19,12 @@ from gns_pl.mpm.constitutive import material_row, update_stress
 from gns_pl.mpm.laws import LAWS, find_law, law_names
 from gns_pl.mpm.settings import solver_version
 from gns_pl.scene import Body, Wall
+from gns_pl.solvers.mpm import MPMSolver
 from tests.extend.page import blocks
 from tests.mpm.conftest import make_box, make_mpm, make_sand
 
 OWN = "own_laws.inertial_friction"
+COLUMN = Body((0.0, 0.0), (0.2, 0.4), (0.0, 0.0))
 ARGUMENTS = "pressure, root_j2, shear_rate, dt, shear, bulk, slope, intercept, dilation, tension"
 
 
@@ -76,8 +78,7 @@ def test_the_shipped_law_as_ones_own_gives_the_same_bits(own_law: str) -> None:
 
 def test_a_run_under_a_law_of_ones_own(own_law: str) -> None:
     """A column under friction that grows with the rate runs out less far; settings and version say which law it was."""
-    column = Body((0.0, 0.0), (0.2, 0.4), (0.0, 0.0))
-    scene = make_box((1.2, 0.5), column, duration=0.6, wall=Wall("friction", 0.4))
+    scene = make_box((1.2, 0.5), COLUMN, duration=0.6, wall=Wall("friction", 0.4))
     runs = [
         simulate(scene, make_mpm(cell_size=0.05, points_per_direction=2, **law), frame_interval=0.2)
         for law in ({}, {"law": OWN})
@@ -88,10 +89,17 @@ def test_a_run_under_a_law_of_ones_own(own_law: str) -> None:
 
 
 def test_a_law_is_known_by_its_code(own_law: str) -> None:
+    solvers = [MPMSolver.preset("paper", cell_size=0.1, **law) for law in ({}, {"law": OWN})]
+    facts, identities = (
+        solvers[1].facts(make_box((1.0, 1.0), COLUMN, duration=0.1)),
+        {each.identity() for each in solvers},
+    )
     shipped, version = solver_version(), solver_version({"law": OWN})
     assert solver_version({"law": "drucker_prager"}) == shipped and version.startswith(f"{shipped}.")
     write_law(own_law.replace("DIAMETER, DENSITY = 0.01", "DIAMETER, DENSITY = 0.02"))
     assert solver_version({"law": OWN}) not in (shipped, version)
+    assert len(identities) == 2 and solvers[1].identity() not in identities
+    assert solvers[1].facts(make_box((1.0, 1.0), COLUMN, duration=0.1)) != facts
     write_law(own_law.replace("inertial_number)", "inertial_number * 1.0)"))
     assert solver_version({"law": OWN}) not in (shipped, version)
     write_law(f"# a comment changes nothing\n{own_law}")
