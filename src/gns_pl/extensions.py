@@ -24,10 +24,10 @@ def imported(name: str, kind: type[T], key: str, known: list[str]) -> type[T]:
     Raises:
         InputError: no such module, no such class in it, or a class of another kind.
     """
-    found = _found(name, key, known, "CLASS")
-    if not (isinstance(found, type) and issubclass(found, kind)):
+    value = _import(name, key, known, "CLASS")
+    if not (isinstance(value, type) and issubclass(value, kind)):
         raise InputError(f"{key}={name}: is no subclass of {kind.__module__}.{kind.__name__}.")
-    return found
+    return value
 
 
 def imported_function(name: str, key: str, known: list[str]) -> Any:
@@ -36,13 +36,13 @@ def imported_function(name: str, key: str, known: list[str]) -> Any:
     Raises:
         InputError: no such module, no such name in it, or nothing that can be called.
     """
-    found = _found(name, key, known, "FUNCTION")
-    if not callable(found):
+    value = _import(name, key, known, "FUNCTION")
+    if not callable(value):
         raise InputError(f"{key}={name}: is no function.")
-    return found
+    return value
 
 
-def _found(name: str, key: str, known: list[str], what: str) -> Any:
+def _import(name: str, key: str, known: list[str], what: str) -> Any:
     module, _, attribute = name.rpartition(".")
     if not module:
         raise InputError(f"{key} must be one of {', '.join(known)}, or MODULE.{what} of your own, not {name!r}.")

@@ -66,14 +66,14 @@ def _draw_family(spec: DatasetSpec, name: str, first: int) -> list[Planned]:
     kind = family.get("kind", name)
     if kind == FROM_FILES:
         return _given_family(spec, owner, name, first)
-    found = find_kind(owner, kind)
+    drawn = find_kind(owner, kind)
     counts = {key: whole_number(owner, key, family.get(key, 0)) for key in ("count", "valid", "test")}
     if counts["valid"] + counts["test"] > counts["count"]:
         raise InputError(f"{owner}: valid and test are part of count and cannot exceed it.")
     shared = {"kind", *counts, "walls", "material", "friction_angle_deg"}
-    known = {*shared, *found.needed, *found.optional}
-    unknown = sorted(set(family) - known) if found.checked else []
-    missing = sorted(set(found.needed) - set(family))
+    known = {*shared, *drawn.needed, *drawn.optional}
+    unknown = sorted(set(family) - known) if drawn.checked else []
+    missing = sorted(set(drawn.needed) - set(family))
     if unknown or missing:
         what = f"unknown key {', '.join(unknown)}" if unknown else f"missing key {', '.join(missing)}"
         raise InputError(f"{owner}: {what}; a {kind} has {', '.join(sorted(known))}.")
@@ -92,8 +92,8 @@ def _draw_family(spec: DatasetSpec, name: str, first: int) -> list[Planned]:
         if angles is not None:
             material = replace(material, friction_angle_deg=np.random.default_rng(friction).uniform(*angles))
         common = {"gravity": spec.gravity, "walls": walls, "material": material, "name": f"{name}_{number:04d}"}
-        taken = {key: common[key] for key in found.common}
-        scene = found.sampler(np.random.default_rng(stream), **own, **taken)
+        taken = {key: common[key] for key in drawn.common}
+        scene = drawn.sampler(np.random.default_rng(stream), **own, **taken)
         _check_scene(spec, owner, scene)
         planned.append(_planned(spec, name, number, first, splits[number], scene, placement))
     return planned

@@ -70,14 +70,14 @@ def find_kind(owner: str, name: str) -> Kind:
         inspect.Parameter.POSITIONAL_OR_KEYWORD,
     ):
         raise InputError(f"{owner}: {name} must take a random generator first, as sampler(generator, *, …).")
-    catches = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in parameters)
-    named = [each for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
-    own = [each for each in named if each.name not in COMMON]
+    catches = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters)
+    named = [parameter for parameter in parameters if parameter.kind is not inspect.Parameter.VAR_KEYWORD]
+    own = [parameter for parameter in named if parameter.name not in COMMON]
     return Kind(
         partial(_drawn, function, owner, name),
-        needed=tuple(each.name for each in own if each.default is inspect.Parameter.empty),
-        optional=tuple(each.name for each in own if each.default is not inspect.Parameter.empty),
-        common=COMMON if catches else tuple(each.name for each in named if each.name in COMMON),
+        needed=tuple(parameter.name for parameter in own if parameter.default is inspect.Parameter.empty),
+        optional=tuple(parameter.name for parameter in own if parameter.default is not inspect.Parameter.empty),
+        common=COMMON if catches else tuple(parameter.name for parameter in named if parameter.name in COMMON),
         checked=not catches,
     )
 

@@ -40,11 +40,11 @@ def named_scene(name: Any, catalogue: Mapping[str, Any], changes: Mapping[str, A
         raise InputError(f"scene: a file or a name is needed, not {name!r}.")
     if name in catalogue:
         given = dict(catalogue[name])
-        scene = _made(given.pop("kind", name), name, given, changes)
+        scene = _build(given.pop("kind", name), name, given, changes)
     elif Path(name).exists():
         scene = read_scene(Path(name), changes)
     elif FUNCTION.fullmatch(name):
-        scene = _made(name, name.rpartition(".")[2], _arguments(name, catalogue), changes)
+        scene = _build(name, name.rpartition(".")[2], _arguments(name, catalogue), changes)
     else:
         known = [*catalogue, *(str(path) for path in sorted(Path(name).parent.glob("*.y*ml")))]
         raise InputError(
@@ -53,7 +53,7 @@ def named_scene(name: Any, catalogue: Mapping[str, Any], changes: Mapping[str, A
     return scene.replace(name="_".join(filter(None, (scene.name, changes_label(changes), label))))
 
 
-def _made(kind: str, name: str, given: Mapping[str, Any], changes: Mapping[str, Any]) -> Scene:
+def _build(kind: str, name: str, given: Mapping[str, Any], changes: Mapping[str, Any]) -> Scene:
     """Return the scene that a function makes of arguments and changes."""
     function = _function(kind)
     parts = changed(given, changes, name)
@@ -85,9 +85,13 @@ def _arguments(kind: str, catalogue: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of a function that stands in no catalogue: its own values, and the shared ones there."""
     shared = {key: value for entry in catalogue.values() for key, value in entry.items() if key in SHARED}
     parameters = inspect.signature(_function(kind)).parameters.values()
-    given = {each.name: each.default for each in parameters if each.default is not inspect.Parameter.empty}
+    given = {
+        parameter.name: parameter.default
+        for parameter in parameters
+        if parameter.default is not inspect.Parameter.empty
+    }
     plain = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
-    return {**{each.name: shared[each.name] for each in parameters if each.name in shared}, **plain}
+    return {**{parameter.name: shared[parameter.name] for parameter in parameters if parameter.name in shared}, **plain}
 
 
 def _walls(owner: str, walls: Any) -> dict[str, Wall]:

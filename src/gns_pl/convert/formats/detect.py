@@ -47,14 +47,14 @@ def open_set(
     path = Path(source)
     if not path.exists():
         raise InputError(f"{path}: there is no such file or folder.")
-    known = {ending for each in FORMATS for ending in each.endings}
+    known = {ending for file_format in FORMATS for ending in file_format.endings}
     looked_at = Source(path, known, trust=trust, deck=None if deck is None else Path(deck), lost=lost)
-    for each in FORMATS:
-        if deck is None or each.takes_deck:
-            found = each.open(looked_at)
-            if found is not None:
-                return found
+    for file_format in FORMATS:
+        if deck is None or file_format.takes_deck:
+            foreign_set = file_format.open(looked_at)
+            if foreign_set is not None:
+                return foreign_set
     if deck is not None:
         raise InputError(f"{path}: holds no runs of CB-Geo MPM and no VTK series of one, to which deck= belongs.")
-    names = ", ".join(each.name for each in FORMATS)
+    names = ", ".join(file_format.name for file_format in FORMATS)
     raise InputError(f"{path}: holds none of the formats that are known: {names}.")

@@ -69,7 +69,7 @@ class Source:
             found.setdefault(file.suffix, []).append(file)
         order = {"train": 0, "valid": 1, "test": 2}
         return {
-            ending: sorted(files, key=lambda each: (order.get(each.stem, 3), each)) for ending, files in found.items()
+            ending: sorted(files, key=lambda file: (order.get(file.stem, 3), file)) for ending, files in found.items()
         }
 
 
