@@ -48,6 +48,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "convert": ("convert", "formats", "weights", "weights_export"),
     "graph": ("context",),
     "nn": ("mlp",),
+    "extensions": (),
     "fields": (),
     "errors": (),
     "machine": (),

@@ -29,7 +29,6 @@ from gns_pl.io import StorageError, remove_temporary_files
 from gns_pl.io.atomic import sync, write_atomically
 from gns_pl.io.lock import locked
 
-FORMATS = ("gns_pl", "geoelements", "lagrangebench", "vtk")
 BEGUN = "conversion.json"
 LOCK = ".lock"
 
@@ -50,7 +49,7 @@ def convert(
     Args:
         source: the source, from `open_set`.
         target: folder; must not be there yet.
-        to: a format of `FORMATS`.
+        to: "gns_pl", or a format of `exports.WRITERS`.
         given: what the user says of units and axes.
         assumed: what stands in scenes where the source does not say.
         name: of a data set of ours; the target's name if None.
@@ -64,8 +63,9 @@ def convert(
         InputError: a source or settings that cannot be used; nothing is left behind.
         StorageError: the disk refuses; what is written stays, and the same command goes on.
     """
-    if to not in FORMATS:
-        raise InputError(f"to must be one of {', '.join(FORMATS)}, not {to!r}.")
+    known = ("gns_pl", *exports.WRITERS)
+    if to not in known:
+        raise InputError(f"to must be one of {', '.join(known)}, not {to!r}.")
     target = Path(target)
     items = plan_items(source.names, valid=valid, test=test)
     facts = work_out(source, given)

@@ -22,8 +22,6 @@ EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
 METRES = 0.03
 """Free fall within this share of it is in metres and seconds."""
-SI_KINDS = ("CB-Geo MPM", OURS)
-"""Sources that are in SI units by their own definition."""
 AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
 
 
@@ -180,7 +178,7 @@ def find_out(source: ForeignSet, given: Given) -> Findings:
         asks += [ask] if ask else []
     gravity = given.gravity
     if gravity is None and magnitude is not None and scale is not None:
-        gravity = magnitude * scale if source.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
+        gravity = magnitude * scale if source.si else float(f"{magnitude * scale:.3g}")
     if axis is not None and gravity is None and scale is not None:
         asks.append("how strong gravity is, is not stated and cannot be seen: give gravity=9.81")
     values = {"dt": dt, "scale": scale, "axis": axis, "gravity": gravity, "lower": lower, "upper": upper,
@@ -275,7 +273,7 @@ def _gravity(
 def _scale(
     source: ForeignSet, given: Given, magnitude: float | None, asks: list[str], notes: list[str]
 ) -> float | None:
-    if given.scale is not None or source.kind in SI_KINDS:
+    if given.scale is not None or source.si:
         return given.scale or 1.0
     earth = given.gravity or EARTH
     if magnitude is None:

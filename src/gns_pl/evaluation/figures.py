@@ -43,7 +43,7 @@ def draw(
     files = [out / "runout_height.png", out / "runout_height.pdf", out / "energy.png"]
     plot_curves(curves, ("runout", "height"), files[:2], bands)
     plot_curves(curves, ("energy", "speed"), files[2:], bands)
-    far = {name: result.familiarity for name, result in results.items() if result.familiarity is not None}
+    far = {name: result.ood for name, result in results.items() if result.ood is not None}
     if far:
         files.append(out / "ood.png")
         distances = {

@@ -121,13 +121,13 @@ def verdict(scene: Mapping[str, Any]) -> str:
 
 def trust(scene: Mapping[str, Any]) -> str:
     """Return in words whether the run stayed where the network was trained."""
-    ood = scene["familiarity"]
+    ood = scene["ood"]
     if ood is None:
         text = "The checkpoint holds no training distribution."
-    elif ood["sentence"] is None:
-        text = f"Within the training distribution (distance {ood['early']:.2g} until τc)."
+    elif ood["message"] is None:
+        text = f"Within the training distribution (distance {ood['early_score']:.2g} until τc)."
     else:
-        text = f"Outside the training distribution: {ood['sentence']}."
+        text = f"Outside the training distribution: {ood['message']}."
     return text
 
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from gns_pl import __version__
 from gns_pl.machine import machine_name
+from gns_pl.metrics.curves import Quantity
+from gns_pl.metrics.quantities import COMPARISONS, SUMMARY
 from gns_pl.text import number, percent, without_nan
 
 if TYPE_CHECKING:
@@ -21,24 +23,20 @@ if TYPE_CHECKING:
 FORMAT = "gns_pl evaluation"
 FORMAT_VERSION = 3
 
-ROWS: tuple[tuple[str, str, str], ...] = (
-    ("runout, 99 % of the mass [L0]", "runout_99", "runout_99_error"),
-    ("runout, 99.5 % [L0]", "runout_995", "runout_995_error"),
-    ("runout, maximum [L0]", "runout_max", "runout_max_error"),
-    ("height, 99 % [L0]", "height_99", "height_99_error"),
-    ("height, maximum [L0]", "height_max", "height_max_error"),
-    ("mean height [m]", "mean_height", "mean_height_error"),
-    ("front at rest [τc]", "arrest_time", ""),
-    ("peak kinetic energy [J]", "kinetic_energy_peak", "kinetic_energy_peak_error"),
-    ("final mean speed [m/s]", "speed_mean", ""),
-    ("deepest penetration [spacing]", "penetration_max", ""),
-    ("nearest other, 1 % [spacing]", "spacing_1", ""),
-    ("solid fraction inside", "density", ""),
+
+def _label(label: str, quantity: Quantity) -> str:
+    return label if quantity.unit == "1" else f"{label} [{quantity.unit}]"
+
+
+ROWS: tuple[tuple[str, str, str], ...] = tuple(
+    (_label(metric.label, metric), metric.name, f"{metric.name}_error" if metric.error else "")
+    for metric in SUMMARY
+    if metric.label
 )
 """Rows of a table: label, key of the summary, key of its relative error if it has one."""
 
 ERROR_ROWS: tuple[tuple[str, str], ...] = (
-    ("deposit profile, L1 over area", "profile_l1"),
+    *((_label(entry.label, entry), entry.name) for entry in COMPARISONS if entry.label),
     ("MSE of 1 step [m²]", "mse_1"),
     ("MSE of 20 steps [m²]", "mse_20"),
     ("MSE of all steps [m²]", "mse_end"),

@@ -47,9 +47,7 @@ def log_evaluation(
             run.summary.update({f"{name}/errors/{key}": value for key, value in errors.items()})
             run.summary.update({f"{name}/std/{key}": value for key, value in scene["placements"]["std"].items()})
             run.summary.update({f"{name}/failed_at": scene["failed_at"]})
-            run.summary.update(
-                {f"{name}/familiarity/{key}": value for key, value in (scene["familiarity"] or {}).items()}
-            )
+            run.summary.update({f"{name}/ood/{key}": value for key, value in (scene["ood"] or {}).items()})
         return Path(run.dir).parent
 
 

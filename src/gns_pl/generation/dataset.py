@@ -128,7 +128,7 @@ def _job(folder: Path, dataset: DatasetSpec, planned: Planned, spacing: float, d
         frame_interval=dataset.frame_interval,
         seed=planned.seed,
         device=device,
-        provenance={"dataset": dataset.name, "solver_version": solver.solver_version(), "device": device},
+        provenance={"dataset": dataset.name, "solver_version": solver.solver_version(dataset.mpm), "device": device},
     )
 
 

@@ -64,9 +64,10 @@ def check_folder(folder: Path, dataset: DatasetSpec) -> None:
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path}: is damaged or not of gns_pl.") from error
     _check_same(folder, spec, dataset)
-    if version != solver_version():
+    here = solver_version(dataset.mpm)
+    if version != here:
         raise InputError(
-            f"{folder}: was begun with another version of the solver ({version}, this is {solver_version()}); "
+            f"{folder}: was begun with another version of the solver ({version}, this is {here}); "
             f"remove the folder, or choose another one."
         )
 
@@ -82,7 +83,7 @@ def claim_folder(folder: Path, dataset: DatasetSpec) -> None:
     """
     check_folder(folder, dataset)
     if not (folder / BEGUN_NAME).exists():
-        text = json.dumps({"solver_version": solver_version(), "spec": dataset.to_dict()}, indent=1) + "\n"
+        text = json.dumps({"solver_version": solver_version(dataset.mpm), "spec": dataset.to_dict()}, indent=1) + "\n"
         write_atomically(folder / BEGUN_NAME, text.encode())
     for stored in stored_folders(folder, dataset).values():
         make_folder(stored)

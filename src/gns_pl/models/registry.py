@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from gns_pl.extensions import imported
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.geoelements import FrameSimulator
 from gns_pl.models.simulator import Simulator
-from gns_pl.nn.network import imported
 
 MODELS: dict[str, type[Simulator]] = {"simulator": Simulator, "frames": FrameSimulator}
 """Name → class; `register_model` adds."""

@@ -31,7 +31,9 @@ class SteppedRun:
         self.plan = make_plan(scene, particles, config, interval)
         self._state = make_state(scene, particles, self.plan.grid, config)
         setting = make_setting(scene, self.plan.grid, config, self.plan.dt)
-        self._advance = partial(make_advance(config.shape, config.precision, False), *self._state, *setting, 1)
+        self._advance = partial(
+            make_advance(config.shape, config.precision, False, config.law), *self._state, *setting, 1
+        )
 
     @property
     def position(self) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.convert.formats.deck import read_deck
+from gns_pl.convert.formats.format import Format, Source
 from gns_pl.convert.formats.source import (
     ForeignSet,
     Recording,
@@ -62,7 +63,8 @@ def open_vtk(path: Path, files: Sequence[Path], *, deck: Path | None = None) -> 
         return _open(series[number], stated.friction_angle_deg)
 
     names = tuple((each.split, each.name) for each in series)
-    return ForeignSet(kind, path, names, opener, replace(stated, notes=(*notes, *stated.notes)))
+    stated = replace(stated, notes=(*notes, *stated.notes))
+    return ForeignSet(kind, path, names, opener, stated, si=deck is not None)
 
 
 @contextmanager
@@ -163,3 +165,14 @@ def _by_origin(name: str, origins: NDArray[Any]) -> Order:
         return np.argsort(particle)
 
     return order
+
+
+def _open_source(source: Source) -> ForeignSet | None:
+    files = source.files
+    frames = files.get(".pvd") or sorted(file for ending in ENDINGS for file in files.get(ending, []))
+    if not frames or files.get(".tfrecord"):  # a series beside a set shows it
+        return None
+    return open_vtk(source.path, frames, deck=source.deck)
+
+
+FORMAT = Format("VTK (.pvd, .vtp, .vtu)", (".pvd", *ENDINGS), _open_source, takes_deck=True)

@@ -188,5 +188,7 @@ def _solved(
         settings = {**mpm, **(changes or {})}
         solver.solver_config(settings)  # refuses what no run could use
         data = {**sand, "walls": walls, "mpm": settings}
-        description = ", ".join(f"{key} {value}" for key, value in (changes or {}).items()) or "as tuned"
-        yield Subject(name, _identity(solver.solver_version(), data, dim, interval, seed), description, data, interval)
+        words = ", ".join(f"{key} {value}" for key, value in (changes or {}).items()) or "as tuned"
+        yield Subject(
+            name, _identity(solver.solver_version(settings), data, dim, interval, seed), words, data, interval
+        )
