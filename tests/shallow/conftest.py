@@ -35,7 +35,7 @@ def make_layer(
 ) -> Layer:
     """A layer on a box with its lower corner at the origin; `thickness` is averaged over `samples`² points a cell."""
     sizes = (lengths[0] / counts[0], lengths[1] / counts[1])
-    grid = Grid((0.0, 0.0), counts, sizes)
+    grid = Grid((np.linspace(0, lengths[0], counts[0] + 1), np.linspace(0, lengths[1], counts[1] + 1)))
     x, y = grid.centres
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     h = sum(thickness(x + a * sizes[0], y + b * sizes[1]) for a in offsets for b in offsets) / samples**2

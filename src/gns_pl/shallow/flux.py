@@ -111,7 +111,7 @@ def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number,
         thick, surface, u, t = h[cell], h[cell] + bed[cell], un[cell], ut[cell]
         slope_h = slope_e = slope_u = slope_t = 0.0
         below, above = cell - stride, cell + stride
-        if 0 < s < number - 1 and thick > DRY and frozen[near] == 0 and frozen[near + face_stride] == 0:
+        if 0 < s < number - 1 and thick > DRY and (frozen[near] == 0 or frozen[near + face_stride] == 0):
             jump = CLIFF * width
             if abs(bed[cell] - bed[below]) <= jump and abs(bed[above] - bed[cell]) <= jump:
                 slope_h = 0.5 * limited(thick - h[below], h[above] - thick)

@@ -7,6 +7,7 @@ horizontal dimension it is the motion of the layer's columns itself; in two it g
 single particles need not move as the layer's columns do.
 """
 
+# ruff: noqa: D417 (arguments of one kind share a line)
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ def hammersley(number: int, seed: int) -> Floats:
     """Return evenly spread points of the unit cube [number, 3], all shifted by one random vector, the first rising."""
     index = np.arange(number)
     shift = np.random.default_rng(seed).random(3)
-    points = np.stack([(index + shift[0]) / number, radical_inverse(index, 2), radical_inverse(index, 3)], axis=1)
+    points = np.stack([(index + shift[0]) / number, radical_inverse(index, 3), radical_inverse(index, 2)], axis=1)
     points[:, 1:] = (points[:, 1:] + shift[1:]) % 1.0
     return points
 
@@ -38,7 +39,7 @@ def radical_inverse(index: NDArray[np.int64], base: int) -> Floats:
 
 
 @compiled
-def place(shares, layer, falling, bottom, height, lower, shape, sizes, position):
+def place(shares, layer, falling, bottom, height, x_edges, y_edges, position):
     """Write the particles' positions.
 
     Args:
@@ -47,17 +48,17 @@ def place(shares, layer, falling, bottom, height, lower, shape, sizes, position)
         falling: thickness that is still in the air over every cell [C] [m].
         bottom: least height over the bed at which what is in the air begins [C] [m].
         height: of the bed [C] [m].
-        lower: corner of the grid [2] [m].
-        shape: number of cells along x and y.
-        sizes: edges of a cell [m].
+        x_edges, y_edges: edges of the cells [NX + 1], [NY + 1] [m].
         position: x, y and z of every particle [N, 3] [m].
     """
-    (nx, ny), (dx, dy) = shape, sizes
+    nx, ny = len(x_edges) - 1, len(y_edges) - 1
     rows = np.zeros(nx)
+    total = 0.0
     for i in range(nx):
         for j in range(ny):
-            rows[i] += layer[i * ny + j] + falling[i * ny + j]
-    total = rows.sum()
+            rows[i] += (layer[i * ny + j] + falling[i * ny + j]) * (y_edges[j + 1] - y_edges[j])
+        rows[i] *= x_edges[i + 1] - x_edges[i]
+        total += rows[i]
     i, before = 0, 0.0
     for n in range(len(shares)):
         wanted = shares[n, 0] * total
@@ -67,20 +68,22 @@ def place(shares, layer, falling, bottom, height, lower, shape, sizes, position)
         while rows[i] <= 0.0:  # rounding led beyond the last row that holds anything
             i -= 1
             before -= rows[i]
-        position[n, 0] = lower[0] + (i + min(max((wanted - before) / rows[i], 0.0), 1.0)) * dx
-        j, side, wanted = 0, 0.0, shares[n, 2] * rows[i]
-        column = layer[i * ny] + falling[i * ny]
-        while j < ny - 1 and (column <= 0.0 or side + column <= wanted):
-            side += column
+        part = min(max((wanted - before) / rows[i], 0.0), 1.0)
+        position[n, 0] = x_edges[i] + part * (x_edges[i + 1] - x_edges[i])
+        wanted = shares[n, 2] * rows[i] / (x_edges[i + 1] - x_edges[i])
+        j, last, side, column = 0, 0, 0.0, 0.0
+        while j < ny:
+            thickness = layer[i * ny + j] + falling[i * ny + j]
+            if thickness > 0.0:
+                last, side = j, side + column
+                column = thickness * (y_edges[j + 1] - y_edges[j])
+                if side + column > wanted:
+                    break
             j += 1
-            column = layer[i * ny + j] + falling[i * ny + j]
-        while column <= 0.0:
-            j -= 1
-            column = layer[i * ny + j] + falling[i * ny + j]
-            side -= column
-        position[n, 1] = lower[1] + (j + min(max((wanted - side) / column, 0.0), 1.0)) * dy
-        cell = i * ny + j
-        up = shares[n, 1] * column
+        part = min(max((wanted - side) / column, 0.0), 1.0)
+        position[n, 1] = y_edges[last] + part * (y_edges[last + 1] - y_edges[last])
+        cell = i * ny + last
+        up = shares[n, 1] * (layer[cell] + falling[cell])
         if up > layer[cell]:
             up += max(bottom[cell] - layer[cell], 0.0)
         position[n, 2] = height[cell] + up

@@ -26,29 +26,43 @@ class Grid:
     """Cells of the horizontal plane; one along y in two dimensions. Arrays of all cells are flat, y running fastest.
 
     Attributes:
-        lower: lower corner of the box [2] [m].
-        shape: number of cells along x and y.
-        sizes: edges of a cell along x and y [m]; 1 along y in two dimensions.
+        edges: of the cells along x [NX + 1] and y [NY + 1] [m]; 0 and 1 along y in two dimensions.
     """
 
-    lower: tuple[float, float]
-    shape: tuple[int, int]
-    sizes: tuple[float, float]
+    edges: tuple[Floats, Floats]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of cells along x and y."""
+        return len(self.edges[0]) - 1, len(self.edges[1]) - 1
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Edges of a cell along x and y, where all are equal [m]."""
+        x, y = ((edges[-1] - edges[0]) / (len(edges) - 1) for edges in self.edges)
+        return float(x), float(y)
 
     @property
     def centres(self) -> tuple[Floats, Floats]:
         """Middles of all cells, x [C] and y [C] [m]."""
-        axes = [low + (np.arange(n) + 0.5) * d for low, n, d in zip(self.lower, self.shape, self.sizes, strict=True)]
-        x, y = np.meshgrid(*axes, indexing="ij")
+        x, y = np.meshgrid(*((edges[1:] + edges[:-1]) / 2 for edges in self.edges), indexing="ij")
         return x.ravel(), y.ravel()
 
     def coverage(self, lower: Sequence[float], upper: Sequence[float]) -> Floats:
         """Return which share of every cell a rectangle covers [C]."""
-        shares = []
-        for low, n, d, start, end in zip(self.lower, self.shape, self.sizes, lower, upper, strict=True):
-            edges = low + np.arange(n + 1) * d
-            shares.append(np.clip(np.minimum(edges[1:], end) - np.maximum(edges[:-1], start), 0.0, None) / d)
+        shares = [
+            np.clip(np.minimum(edges[1:], end) - np.maximum(edges[:-1], start), 0.0, None) / np.diff(edges)
+            for edges, start, end in zip(self.edges, lower, upper, strict=True)
+        ]
         return np.outer(*shares).ravel()
+
+    def parents(self, other: Grid) -> NDArray[np.int64]:
+        """Return which cell of this grid each cell of another one lies in [C]."""
+        places = [
+            np.clip(np.searchsorted(edges, place, side="right") - 1, 0, len(edges) - 2)
+            for edges, place in zip(self.edges, other.centres, strict=True)
+        ]
+        return np.asarray(places[0] * self.shape[1] + places[1])
 
 
 @dataclass(frozen=True)
@@ -69,14 +83,21 @@ class Ground:
 
 
 def make_grid(scene: Scene, cell_size: float) -> Grid:
-    """Divide the floor of the box into cells."""
-    axes = range(scene.dim - 1)
-    counts = [max(1, round((scene.upper[axis] - scene.lower[axis]) / cell_size)) for axis in axes]
-    sizes = [(scene.upper[axis] - scene.lower[axis]) / counts[axis] for axis in axes]
-    lower = list(scene.lower[:-1])
-    if scene.dim == 2:
-        counts, sizes, lower = [*counts, 1], [*sizes, 1.0], [*lower, 0.0]
-    return Grid((lower[0], lower[1]), (counts[0], counts[1]), (sizes[0], sizes[1]))
+    """Divide the floor of the box into equal cells."""
+    edges = []
+    for low, high in zip(scene.lower[:-1], scene.upper[:-1], strict=True):
+        edges.append(np.linspace(low, high, max(1, round((high - low) / cell_size)) + 1))
+    return Grid((edges[0], edges[1] if scene.dim == 3 else np.array([0.0, 1.0])))
+
+
+def with_bodies(scene: Scene, grid: Grid) -> Grid:
+    """Return a grid with the edges of the bodies besides its own, so that no cell is covered in part."""
+    edges = list(grid.edges)
+    for axis in range(scene.dim - 1):
+        ends = [end[axis] for body in scene.bodies for end in (body.position, body.upper)]
+        edges[axis] = np.unique(np.clip([*edges[axis], *ends], edges[axis][0], edges[axis][-1]))
+        edges[axis] = edges[axis][np.append(True, np.diff(edges[axis]) > GAP)]
+    return Grid((edges[0], edges[1]))
 
 
 def unsupported_reason(scene: Scene) -> str | None:
@@ -149,23 +170,23 @@ def make_ground(scene: Scene, grid: Grid, config: ShallowConfig) -> Ground:
     return Ground(height, slopes / k + (height - base), gravity, friction / k)
 
 
-def make_layer(scene: Scene, grid: Grid, ground: Ground, rain: float | None) -> tuple[Floats, Floats, Floats, Floats]:
+def make_layer(scene: Scene, grid: Grid, height: Floats, rain: float | None) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the layer at the start.
 
     Args:
         scene: its bodies.
         grid: the cells.
-        ground: what bodies stand on, and are carved by.
+        height: of the bed, on which bodies stand and by which they are carved [C] [m].
         rain: height over length of what stands at the start; None for all of it.
 
     Returns:
         Thickness that stands [C] [m], momentum along x and y [C] [m²/s], thickness that rains [C] [m].
     """
-    layer, qx, qy, falling = (np.zeros(len(ground.height)) for _ in range(4))
+    layer, qx, qy, falling = (np.zeros(len(height)) for _ in range(4))
     for body in scene.bodies:
         lower, upper = (*body.position[:-1], 0.0)[:2], (*body.upper[:-1], 1.0)[:2]
         cover = grid.coverage(lower, upper)
-        thickness = np.maximum(body.upper[-1] - np.maximum(ground.height, body.position[-1]), 0.0)
+        thickness = np.maximum(body.upper[-1] - np.maximum(height, body.position[-1]), 0.0)
         length = spreading_length(scene, body)
         stands = thickness if rain is None else np.minimum(thickness, max(rain * length - body.position[-1], 0.0))
         layer += cover * stands

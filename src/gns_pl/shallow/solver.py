@@ -13,8 +13,17 @@ import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.scene import Scene
-from gns_pl.shallow.config import ShallowConfig
-from gns_pl.shallow.plan import Floats, Grid, Ground, make_grid, make_ground, make_layer, unsupported_reason
+from gns_pl.shallow.config import NUM_PARTICLES, ShallowConfig
+from gns_pl.shallow.plan import (
+    Floats,
+    Grid,
+    Ground,
+    make_grid,
+    make_ground,
+    make_layer,
+    unsupported_reason,
+    with_bodies,
+)
 from gns_pl.trajectory import Trajectory
 
 
@@ -88,7 +97,7 @@ def make_start(scene: Scene, config: ShallowConfig) -> Layer:
         raise InputError(f"scene {scene.name!r}: {reason}")
     grid = make_grid(scene, config.cell_size)
     ground = make_ground(scene, grid, config)
-    thickness, *momentum, rain = make_layer(scene, grid, ground, config.rain)
+    thickness, *momentum, rain = make_layer(scene, grid, ground.height, config.rain)
     if not thickness.sum() + rain.sum() > 0:
         raise InputError(f"scene {scene.name!r}: obstacles leave nothing of its bodies; move them.")
     fall = -scene.gravity[-1]
@@ -105,7 +114,7 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
         seed: of the shift of the particles that show the layer; the flow does not depend on it.
 
     Returns:
-        round(duration / frame_interval) + 1 frames of `config.num_particles` particles of equal volume.
+        round(duration / frame_interval) + 1 frames of particles of equal volume.
 
     Raises:
         InputError: a scene that cannot be run, or a frame interval that is not positive.
@@ -115,27 +124,28 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
     if not (math.isfinite(frame_interval) and frame_interval > 0):
         raise InputError(f"shallow: frame_interval must be a positive number, not {frame_interval}.")
     layer = make_start(scene, config)
-    grid, number = layer.grid, config.num_particles
-    bottom = layer.thickness.copy()
-    shares = hammersley(number, seed)
+    grid, height = layer.grid, layer.ground.height
+    number = config.num_particles or NUM_PARTICLES[scene.dim]
+    standing = layer.thickness.copy()
     num_frames = round(scene.duration / frame_interval) + 1
     axes = [0, 2] if scene.dim == 2 else [0, 1, 2]
     frames = np.empty((num_frames, number, scene.dim), dtype=np.float32)
-    places = np.empty((number, 3))
-    volume = float((layer.thickness + layer.rain).sum()) * grid.sizes[0] * grid.sizes[1]
-    velocity = np.zeros((number, scene.dim))
-    for frame in range(num_frames):
-        if frame > 0:
-            if layer.at_rest:
-                frames[frame] = frames[frame - 1]
-                continue
-            layer.advance(frame * frame_interval)
-        falling = layer.falling
-        place(shares, layer.thickness, falling, bottom, layer.ground.height, grid.lower, grid.shape, grid.sizes, places)
-        frames[frame] = places[:, axes]
-        if frame == 0:
-            body = nearest_body(scene, places[:, axes])
-            velocity[:] = np.array([each.velocity for each in scene.bodies])[body]
+    shares, position = hammersley(number, seed), np.empty((number, 3))
+    # At the start bodies end where they do and not where cells do; fronts are measured from there.
+    exact = with_bodies(scene, grid)
+    ground = height[grid.parents(exact)]
+    start, _, _, rain = make_layer(scene, exact, ground, config.rain)
+    place(shares, start, rain, start, ground, *exact.edges, position)
+    frames[0] = position[:, axes]
+    body = nearest_body(scene, position[:, axes])
+    for frame in range(1, num_frames):
+        if layer.at_rest:
+            frames[frame] = frames[frame - 1]
+            continue
+        layer.advance(frame * frame_interval)
+        place(shares, layer.thickness, layer.falling, standing, height, *grid.edges, position)
+        frames[frame] = position[:, axes]
+    volume = float((layer.thickness + layer.falling).sum()) * grid.sizes[0] * grid.sizes[1]
     materials = [scene.materials[each.material] for each in scene.bodies]
     features = np.array([[getattr(material, name) for name in MATERIAL_FEATURES] for material in materials])
     return Trajectory(
@@ -144,7 +154,7 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
         material=features[body].astype(np.float32),
         material_features=MATERIAL_FEATURES,
         mass=np.full(number, volume / number * materials[0].density, dtype=np.float32),
-        initial_velocity=velocity.astype(np.float32),
+        initial_velocity=np.array([each.velocity for each in scene.bodies], dtype=np.float32)[body],
         dt=frame_interval,
         scene=scene,
         provenance=provenance(config, layer, seed),
