@@ -2,8 +2,8 @@
 
     python benchmarks/shallow.py              # half a minute on one core; prints the tables of docs/shallow.md
 
-Nothing is fitted to anything here. Fronts and heights are compared with the curves in tests/validation/ref (plane strain
-on 1/144 m, the paper's rough side walls on 1/48 m), the deposit's profile with plane strain run here on 1/48 m.
+Fronts and heights are compared with the curves in tests/validation/ref (plane strain on 1/144 m, the paper's rough
+side walls on 1/48 m), the deposit's profile with plane strain run here on 1/48 m.
 """
 
 from __future__ import annotations

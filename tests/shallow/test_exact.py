@@ -146,9 +146,7 @@ def test_a_lake_stays_level_over_bumps_and_around_islands(counts: tuple[int, int
     def bed(x: Floats, y: Floats) -> Floats:
         return 0.3 * np.sin(5 * x) * np.cos(3 * y) + 0.5 * (np.abs(x - 0.7) < 0.08)
 
-    layer = make_layer(
-        counts, (2.0, 1.0), lambda x, y: np.clip(0.1 - bed(x, y), 0, None), bed=bed, friction=friction
-    )
+    layer = make_layer(counts, (2.0, 1.0), lambda x, y: np.clip(0.1 - bed(x, y), 0, None), bed=bed, friction=friction)
     thickness, before = layer.thickness.copy(), volume(layer)
     assert (thickness == 0).any()
     layer.advance(1.0)

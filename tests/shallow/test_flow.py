@@ -36,7 +36,7 @@ def two_bodies(**changes: object) -> Scene:
     return make_scene((1.0, 0.75, 0.6), *bodies, obstacles=(box,), **changes)
 
 
-@pytest.mark.parametrize("rain", [None, 0.5])
+@pytest.mark.parametrize("rain", [None, 0.5, 0.0])
 def test_volume_is_kept_and_thickness_never_negative(rain: float | None) -> None:
     layer = make_start(two_bodies(), replace(COARSE, rain=rain))
     start = volume(layer)
@@ -126,7 +126,10 @@ def test_a_scene_turned_by_a_right_angle_flows_turned() -> None:
     )
     first, second = run(scene, end=0.4), run(other, end=0.4)
     assert np.abs(field(first) - field(second).T).max() < 1e-12
-    assert np.abs(first.momentum[0].reshape(first.grid.shape) - second.momentum[1].reshape(second.grid.shape).T).max() < 1e-12
+    assert (
+        np.abs(first.momentum[0].reshape(first.grid.shape) - second.momentum[1].reshape(second.grid.shape).T).max()
+        < 1e-12
+    )
 
 
 def test_a_block_turned_by_45_degrees_leaves_the_same_deposit() -> None:
@@ -183,6 +186,15 @@ def test_floors_and_settings_decide_how_far_it_goes() -> None:
     assert front(make_column(2, floor=Wall("stick"))) == front(make_column(2), friction=math.tan(math.radians(30)))
     tall = make_column(2, length=0.1, height=0.4)
     assert front(tall, rain=1.0) < front(tall)
+
+
+def test_rain_onto_a_dry_floor_goes_about_as_far_as_onto_a_layer() -> None:
+    fronts = []
+    for rain in (0.0, 1.0):
+        layer = run(make_column(2, length=0.1, height=0.4), ShallowConfig(cell_size=1 / 100, friction=0.5, rain=rain))
+        x, _ = layer.grid.centres
+        fronts.append(x[layer.thickness > 1e-4].max())
+    assert fronts[0] == pytest.approx(fronts[1], rel=0.2)
 
 
 def test_rain_comes_down_in_the_time_of_free_fall() -> None:

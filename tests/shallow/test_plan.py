@@ -113,7 +113,7 @@ def test_the_ground_has_floors_planes_boxes_and_the_tilt_of_gravity() -> None:
 
 @pytest.mark.parametrize(("k", "moves"), [(1.0, True), (0.5, False)])
 def test_earth_pressure_scales_the_push_of_the_surface_not_of_the_slope(k: float, moves: bool) -> None:
-    """A heap of slope 0.3 on a floor of 0.25 stays with half the pressure; a level layer on a slope slides in any case."""
+    """A heap of slope 0.3 on a floor of 0.25 stays with half the pressure; a level layer on a slope slides as ever."""
     heap = [Body((0.0, 0.03 * level), (1.0 - 0.1 * level, 0.03), STILL) for level in range(10)]
     scene = make_scene((1.5, 0.5), *heap, floor=Wall("friction", 0.25))
     layer = make_start(scene, ShallowConfig(cell_size=0.1, earth_pressure=k))

@@ -54,7 +54,7 @@ class Grid:
             np.clip(np.minimum(edges[1:], end) - np.maximum(edges[:-1], start), 0.0, None) / np.diff(edges)
             for edges, start, end in zip(self.edges, lower, upper, strict=True)
         ]
-        return np.outer(*shares).ravel()
+        return np.asarray(np.outer(*shares).ravel())
 
     def parents(self, other: Grid) -> NDArray[np.int64]:
         """Return which cell of this grid each cell of another one lies in [C]."""

@@ -18,6 +18,9 @@ and not only in the limit."""
 ROUNDING = 1e-13
 """A thickness down to minus this is rounding and becomes zero [m]; one that is more negative halves the step."""
 
+RAIN_STEPS = 100
+"""Least number of steps in which rain comes down: onto a dry floor nothing else limits the first of them."""
+
 
 @compiled
 def level_difference(h, bed, cell, other):
@@ -172,6 +175,8 @@ def advance(state, ground, rain, fall, shape, sizes, courant, time, end):
         step = end - time
         if rate * step > courant:
             step = courant / rate
+        if time < rain_end:
+            step = min(step, rain_end / RAIN_STEPS)
         shortest = 1e-9 * step
         while True:
             if step < shortest:
@@ -179,7 +184,10 @@ def advance(state, ground, rain, fall, shape, sizes, courant, time, end):
             fill_rates(h, qx, qy, bed, gravity, frozen_x, frozen_y, u, v, dh, dqx, dqy, nx, ny, dx, dy)
             if moved(h, qx, qy, dh, dqx, dqy, gravity, friction, step, one_h, one_qx, one_qy) >= -ROUNDING:
                 fill_rates(one_h, one_qx, one_qy, bed, gravity, frozen_x, frozen_y, u, v, dh, dqx, dqy, nx, ny, dx, dy)
-                if moved(one_h, one_qx, one_qy, dh, dqx, dqy, gravity, friction, step, two_h, two_qx, two_qy) >= -ROUNDING:
+                if (
+                    moved(one_h, one_qx, one_qy, dh, dqx, dqy, gravity, friction, step, two_h, two_qx, two_qy)
+                    >= -ROUNDING
+                ):
                     break
             step *= 0.5
         later = end if step == end - time else time + step
