@@ -116,8 +116,13 @@ def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number,
             if abs(bed[cell] - bed[below]) <= jump and abs(bed[above] - bed[cell]) <= jump:
                 slope_h = 0.5 * limited(thick - h[below], h[above] - thick)
                 slope_e = 0.5 * limited(surface - h[below] - bed[below], h[above] + bed[above] - surface)
-                slope_u = 0.5 * limited(u - un[below], un[above] - u)
-                slope_t = 0.5 * limited(t - ut[below], ut[above] - t)
+                # A dry cell has no velocity: beside it the slope is the other side's, or the tip would lag behind.
+                dry_below, dry_above = h[below] <= DRY, h[above] <= DRY
+                if not (dry_below and dry_above):
+                    low = above if dry_below else cell
+                    up = below if dry_above else cell
+                    slope_u = 0.5 * limited(un[low] - un[low - stride], un[up + stride] - un[up])
+                    slope_t = 0.5 * limited(ut[low] - ut[low - stride], ut[up + stride] - ut[up])
         h_low, h_up = thick - slope_h, thick + slope_h
         e_low, e_up = surface - slope_e, surface + slope_e
         part_low = h_up / thick if thick > DRY else 0.0
