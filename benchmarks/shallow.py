@@ -44,7 +44,6 @@ SETTINGS = {
     "k = 0.5": ShallowConfig(CELL, earth_pressure=0.5),
     "tan δ = tan φ": ShallowConfig(CELL, friction=STRENGTH),
     "tan δ = tan φ, rain": ShallowConfig(CELL, friction=STRENGTH, rain=1.0),
-    "tan δ = tan φ, rain, k = 0.5": ShallowConfig(CELL, friction=STRENGTH, rain=1.0, earth_pressure=0.5),
 }
 
 

@@ -116,13 +116,18 @@ def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number,
             if abs(bed[cell] - bed[below]) <= jump and abs(bed[above] - bed[cell]) <= jump:
                 slope_h = 0.5 * limited(thick - h[below], h[above] - thick)
                 slope_e = 0.5 * limited(surface - h[below] - bed[below], h[above] + bed[above] - surface)
-                # A dry cell has no velocity: beside it the slope is the other side's, or the tip would lag behind.
+                # A dry cell has no velocity: beside it the slope is the other side's, or the tip would lag behind. It
+                # stays no faster than a wave can make it: speed + 2 √(g h) does not grow outwards.
                 dry_below, dry_above = h[below] <= DRY, h[above] <= DRY
                 if not (dry_below and dry_above):
                     low = above if dry_below else cell
                     up = below if dry_above else cell
                     slope_u = 0.5 * limited(un[low] - un[low - stride], un[up + stride] - un[up])
                     slope_t = 0.5 * limited(ut[low] - ut[low - stride], ut[up + stride] - ut[up])
+                if dry_below != dry_above:
+                    inner, outwards = (above, -1.0) if dry_below else (below, 1.0)
+                    waves = 2.0 * (math.sqrt(gravity[inner] * h[inner]) - math.sqrt(gravity[cell] * thick))
+                    slope_u = min(slope_u, max(outwards * (un[inner] - u) + waves, 0.0))
         h_low, h_up = thick - slope_h, thick + slope_h
         e_low, e_up = surface - slope_e, surface + slope_e
         part_low = h_up / thick if thick > DRY else 0.0
