@@ -205,3 +205,13 @@ def test_rain_comes_down_in_the_time_of_free_fall() -> None:
     layer.advance(math.sqrt(2 * 0.4 / GRAVITY))
     assert layer.falling.max() == pytest.approx(0, abs=1e-15)
     assert volume(layer) == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize("cells", [24, 96])
+def test_a_tip_is_no_faster_than_a_dam_break_allows(cells: int) -> None:
+    """Ritter's tip runs with 2 √(g H); friction can only slow it, however thin the tip is."""
+    layer = make_start(make_column(2).replace(upper=(6.0, 0.7)), ShallowConfig(cell_size=1 / cells))
+    for time in (0.05, 0.1, 0.2, 0.3):
+        layer.advance(time)
+        wet = layer.thickness > 1e-9
+        assert (layer.momentum[0][wet] / layer.thickness[wet]).max() < 2 * math.sqrt(GRAVITY * 0.38)
