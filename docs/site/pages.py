@@ -29,7 +29,7 @@ LOG = logging.getLogger("mkdocs.hooks.pages")
 
 NAVIGATION = {
     "Guide": ("commands", "training", "simulate", "evaluation", "reductions", "inverse", "formats", "export", "extend"),
-    "Measured": ("results", "chart", "performance", "stability", "trust", "reference"),
+    "Measured": ("results", "chart", "performance", "stability", "trust", "reference", "shallow"),
 }
 PROJECT = {"The trajectory file": "SCHEMA.md", "Decisions": "decisions.md"}
 BORROWED = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}

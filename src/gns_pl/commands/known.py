@@ -21,7 +21,15 @@ from gns_pl.text import did_you_mean
 OPEN = (
     *("data.families", "data.walls", "data.mpm", "data.material", "data.store_every", "data.every", "data.root"),
     *("model", "changes", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
-    *("evaluation.stress.variants", "evaluation.stress.sand", "choice.hybrid", "choice.mpm", "costs", "variants"),
+    *(
+        "evaluation.stress.variants",
+        "evaluation.stress.sand",
+        "choice.hybrid",
+        "choice.shallow",
+        "choice.mpm",
+        "costs",
+        "variants",
+    ),
     *("side_walls", "wall", "material", "types", "sand", "paper", "mpm"),
 )
 """Where keys may be added, left out and be null; what reads them checks them."""
@@ -60,7 +68,7 @@ MPM = ("", "choice.", "data.", "evaluation.stress.")
 
 WHOLE = {
     **dict.fromkeys(("seed", "data.seed", "evaluation.seed", "evaluation.stress.seed", "evaluation.placements"), 0),
-    **dict.fromkeys(("num_workers", "threads", "placements", "num_steps", "batch_size", "stride", "valid_every"), 1),
+    **dict.fromkeys(("num_workers", "threads", "placements"), 1),
     **dict.fromkeys(("batches.turns", "valid", "test"), 0),
     **dict.fromkeys((f"{owner}mpm.points_per_direction" for owner in MPM), 1),
 }

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError
+from gns_pl.extensions import imported
 from gns_pl.models.shipped import (
     ALIASES,
     corrector_names,
@@ -18,13 +19,13 @@ from gns_pl.models.shipped import (
     pretrained_names,
 )
 from gns_pl.mpm import settings as mpm_settings
-from gns_pl.nn.network import imported
 from gns_pl.presets import preset
 from gns_pl.rollout.policy import Policy
 from gns_pl.solvers.corrected import CorrectedSolver
 from gns_pl.solvers.hybrid import HybridSolver
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.mpm import MPMSolver
+from gns_pl.solvers.shallow import ShallowSolver
 from gns_pl.solvers.solver import Solver
 from gns_pl.text import did_you_mean
 
@@ -56,7 +57,7 @@ def make_solvers(choice: Mapping[str, Any], policy: Policy | None = None) -> lis
     """Return the solvers that a configuration names (conf/choice).
 
     Args:
-        choice: {learned, corrected, hybrid, cells, mpm, others}; what is missing names none.
+        choice: {learned, corrected, hybrid, cells, mpm, shallow, others}; what is missing names none.
         policy: how learned ones are run.
 
     Raises:
@@ -80,6 +81,11 @@ def make_solvers(choice: Mapping[str, Any], policy: Policy | None = None) -> lis
         solvers.append(HybridSolver(name, learned, parts["until"]))
     for cells in choice.get("cells", ()):
         solvers.append(MPMSolver(f"mpm_{cells:g}", float(cells), choice["mpm"]))
+    for name, parts in (choice.get("shallow") or {}).items():
+        if "cells" not in parts:
+            raise InputError(f"choice.shallow.{name}: needs cells, over √(L0 H0).")
+        settings = {key: value for key, value in parts.items() if key != "cells"}
+        solvers.append(ShallowSolver(name, float(parts["cells"]), settings))
     for name in choice.get("others", ()):
         solvers.append(_own(name))
     return solvers
@@ -132,7 +138,7 @@ def known_names(choice: Mapping[str, Any]) -> list[str]:
     """Return the names by which solvers can be asked for."""
     cells = [f"mpm_{cells:g}" for cells in choice.get("cells", ())]
     shipped = [*pretrained_names(), *ALIASES, *corrector_names(), *(choice.get("hybrid") or {})]
-    return list(dict.fromkeys(["mpm", *cells, *shipped, *REGISTERED]))
+    return list(dict.fromkeys(["mpm", *cells, *shipped, *(choice.get("shallow") or {}), *REGISTERED]))
 
 
 def _own(name: str) -> Solver:

@@ -99,7 +99,7 @@ def plot_chart(
         for number, measure in enumerate(others):
             _draw_front(figure.add_subplot(grid[1, number]), marks, measure, bands[measure], measures[measure])
         _draw_rates(rate_axes, rates)
-        _draw_costs(cost_axes, [each for each in marks if each.spent > 0], last)
+        _draw_costs(cost_axes, [mark for mark in marks if mark.spent > 0], last)
         figure.suptitle(title, fontsize=9, y=1 - 0.12 / figure.get_figheight(), va="top")
         handles, texts = main.get_legend_handles_labels()
         place = 0.5, 1 - 0.3 / figure.get_figheight()
@@ -113,36 +113,36 @@ def _draw_front(axes: Any, every: Sequence[Mark], measure: str, band: float, wor
     axes.axhspan(
         LEAST / 2, max(band, LEAST / 2), color="0.92", linewidth=0, zorder=-2, label="the reference's own uncertainty"
     )
-    marks = [each for each in every if np.isfinite(each.errors[measure])]
+    marks = [mark for mark in every if np.isfinite(mark.errors[measure])]
     named: list[tuple[str, tuple[float, float], str]] = []
     for group, (legend, colour, marker) in GROUPS.items():
-        own = sorted((each for each in every if each.group == group), key=lambda each: each.seconds)
+        own = sorted((mark for mark in every if mark.group == group), key=lambda mark: mark.seconds)
         if own:  # in every panel, so that the legend of one is that of all
             face = {} if marker in "x+" else {"markerfacecolor": colour}
             axes.plot([], [], color=colour, marker=marker, markersize=5, linestyle="none", label=legend, **face)
-        for each in own:
-            if each not in marks:
+        for mark in own:
+            if mark not in marks:
                 continue
-            place = max(each.seconds, SOON), max(each.errors[measure], LEAST)
-            named.append((each.label, place, colour))
-            bars = [[max(0.0, each.seconds - each.low)], [max(0.0, each.high - each.seconds)]]
-            face = {} if marker in "x+" else {"markerfacecolor": "none" if each.whole else colour}
+            place = max(mark.seconds, SOON), max(mark.errors[measure], LEAST)
+            named.append((mark.label, place, colour))
+            bars = [[max(0.0, mark.seconds - mark.low)], [max(0.0, mark.high - mark.seconds)]]
+            face = {} if marker in "x+" else {"markerfacecolor": "none" if mark.whole else colour}
             axes.errorbar(
                 *place, xerr=bars, color=colour, marker=marker, markersize=5, elinewidth=0.6, linestyle="none", **face
             )
-    front = sorted((each for each in marks if measure in each.on_fronts), key=lambda each: each.seconds)
+    front = sorted((mark for mark in marks if measure in mark.on_fronts), key=lambda mark: mark.seconds)
     if front:
-        places = [(max(each.seconds, SOON), max(each.errors[measure], LEAST)) for each in front]
+        places = [(max(mark.seconds, SOON), max(mark.errors[measure], LEAST)) for mark in front]
         axes.step(
             *zip(*places, strict=True), where="post", color="black", linewidth=0.8, label="Pareto front", zorder=0
         )
     axes.set(xscale="log", yscale="log", xlabel="time of a scene [s]")
     axes.set_title(f"error: {words}", fontsize=8)
     _percent_axis(axes)
-    axes.set_ylim(bottom=0.8 * max(LEAST, min([band, *(each.errors[measure] for each in marks)])))
+    axes.set_ylim(bottom=0.8 * max(LEAST, min([band, *(mark.errors[measure] for mark in marks)])))
     axes.grid(alpha=0.25, linewidth=0.4)
     if marks:
-        axes.set_xlim(right=3 * max(each.seconds for each in marks))
+        axes.set_xlim(right=3 * max(mark.seconds for mark in marks))
         _write_names(axes, named)
 
 
@@ -161,24 +161,24 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
         axes.set_xlim(right=every[-1] * 4)
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("")
-        _write_names(axes, sorted(named, key=lambda each: each[1][1]), right=True)
+        _write_names(axes, sorted(named, key=lambda mark: mark[1][1]), right=True)
     else:
         axes.set_title("throughput was not measured")
     axes.grid(alpha=0.25, linewidth=0.4)
 
 
 def _draw_costs(axes: Any, every: Sequence[Mark], measure: str) -> None:
-    marks = [each for each in every if np.isfinite(each.errors[measure])]
+    marks = [mark for mark in every if np.isfinite(mark.errors[measure])]
     named: list[tuple[str, tuple[float, float], str]] = []
-    for each in marks:
-        _, colour, marker = GROUPS[each.group]
-        place = each.spent, max(each.errors[measure], LEAST)
+    for mark in marks:
+        _, colour, marker = GROUPS[mark.group]
+        place = mark.spent, max(mark.errors[measure], LEAST)
         axes.plot(*place, color=colour, marker=marker, markersize=4, linestyle="none")
-        named.append((f"{each.name}: {each.pays}", place, colour))
+        named.append((f"{mark.name}: {mark.pays}", place, colour))
     axes.set(yscale="log", xlabel="spent on data and training [s] (: scenes until it has paid)", ylabel="error")
     if marks:
         axes.set_xscale("log")
-        axes.set_xlim(right=60 * max(each.spent for each in marks))
+        axes.set_xlim(right=60 * max(mark.spent for mark in marks))
         _percent_axis(axes)
         _write_names(axes, named)
     else:
@@ -188,8 +188,8 @@ def _draw_costs(axes: Any, every: Sequence[Mark], measure: str) -> None:
 
 def _percent_axis(axes: Any) -> None:
     low, high = axes.get_ylim()
-    ticks = [each for each in (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0) if low <= each <= high]
-    axes.set_yticks(ticks, [f"{100 * each:g} %" for each in ticks])
+    ticks = [tick for tick in (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0) if low <= tick <= high]
+    axes.set_yticks(ticks, [f"{100 * tick:g} %" for tick in ticks])
     axes.minorticks_off()
     axes.set_ylim(low, high)
 
@@ -215,7 +215,7 @@ def _write_names(axes: Any, named: Sequence[tuple[str, tuple[float, float], str]
             for left in (4.0 + lift / 4,) if right else (4.0, -4.0 - width):
                 boxes.append((x + left, y + lift - height / 2, x + left + width, y + lift + height / 2))
         # What lies outside of the axes' sides counts as covered.
-        box = min(boxes, key=lambda each: sum(_overlap(each, other) for other in (*taken, *sides)))
+        box = min(boxes, key=lambda candidate: sum(_overlap(candidate, other) for other in (*taken, *sides)))
         taken.append(box)
         offset = box[0] - x, (box[1] + box[3]) / 2 - y
         axes.annotate(
