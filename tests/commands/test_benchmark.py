@@ -71,7 +71,7 @@ def test_the_smallest_chart_is_measured_once_and_drawn_twice(tmp_path: Path) -> 
     done = call(tmp_path, "benchmark.py", *TINY)
     assert done.returncode == 0, done.stderr
     out = tmp_path / "runs" / "benchmark"
-    assert "[6/6]" in done.stdout and "Made:" in done.stdout
+    assert "[8/8]" in done.stdout and "Made:" in done.stdout
     made = {path.name for path in out.iterdir()}
     assert made >= {
         "runs.csv",
@@ -84,7 +84,7 @@ def test_the_smallest_chart_is_measured_once_and_drawn_twice(tmp_path: Path) -> 
         "records.csv",
     }
     assert len(list((out / "wandb").glob("offline-run-*"))) == 1
-    assert len(Tables(out).runs) == 6  # one is handed over to MPM by what comes with the package
+    assert len(Tables(out).runs) == 8  # a hybrid and two of depth-averaged flow come with the package
     (out / "chart.svg").unlink()
     again = process(tmp_path, "from_table=true", "logger.enabled=false")
     assert again.returncode == 0, again.stderr

@@ -143,10 +143,10 @@ def converged(
         }
         words = f"MPM on {finest}{f' ({reduced.description})' if reduced.description else ''}"
         path = Path(cache) / name
-        made = {"identity": identity, "uncertainty": uncertainty, "seconds": seconds, "words": words}
-        write_kept(path, Observed.mean(runs[0]), {"scene": scene.to_dict(), "interval": interval, **made})
-    observed, facts = read_kept(path, ("identity", "uncertainty", "seconds", "words"))
-    return Converged(scene, flat, reduced.across, interval, observed, **facts)
+        facts = {"identity": identity, "uncertainty": uncertainty, "seconds": seconds, "words": words}
+        write_kept(path, Observed.mean(runs[0]), {"scene": scene.to_dict(), "interval": interval, **facts})
+    observed, kept = read_kept(path, ("identity", "uncertainty", "seconds", "words"))
+    return Converged(scene, flat, reduced.across, interval, observed, **kept)
 
 
 def _runs(
