@@ -28,7 +28,10 @@ ROOT = Path(__file__).parents[2]
 LOG = logging.getLogger("mkdocs.hooks.pages")
 
 NAVIGATION = {
-    "Guide": ("quickstart", "commands", "python", "simulate", "training", "data", "evaluation", "inverse", "formats", "export", "extend"),
+    "Guide": (
+        *("quickstart", "commands", "python", "simulate", "training", "data", "evaluation"),
+        *("inverse", "formats", "export", "extend"),
+    ),
     "Measured": ("results", "chart", "reductions", "stability", "trust", "performance", "reference"),
 }
 PROJECT = {"The trajectory file": "SCHEMA.md", "Decisions": "decisions.md"}

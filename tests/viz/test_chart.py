@@ -28,7 +28,8 @@ def test_every_group_has_its_mark(tmp_path: Path) -> None:
     plot_chart(marks, rates, band=0.015, title="two columns", caption="Who wins. " * 60, paths=paths)
     assert all(path.stat().st_size > 20_000 for path in paths)
     drawn = paths[1].read_text()
-    assert all(f"<!-- {name} -->" in drawn for name in ("mpm_0", "law_9", "of_a_user_9", "two columns")) and "learned_9" not in drawn
+    names = ("mpm_0", "law_9", "of_a_user_9", "two columns")
+    assert all(f"<!-- {name} -->" in drawn for name in names) and "learned_9" not in drawn
 
 
 @pytest.mark.parametrize("band", [0.0, 0.5])

@@ -27,7 +27,8 @@ def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         yield "knows no obstacles"
     most = max(family.get("bodies", 1) for family in families)
     if len(scene.bodies) > most:
-        yield f"trained on {'single bodies' if most == 1 else f'up to {most} bodies'}, the scene has {len(scene.bodies)}"
+        known_bodies = "single bodies" if most == 1 else f"up to {most} bodies"
+        yield f"trained on {known_bodies}, the scene has {len(scene.bodies)}"
     walls = [{**data.get("walls", {}), **family.get("walls", {})} for family in families]
     known = [{face: part_from_dict(Wall, face, wall) for face, wall in each.items()} for each in walls]
     touched = [face for face in scene.walls if face != "z+"]  # nothing rises to the lid
