@@ -28,8 +28,11 @@ ROOT = Path(__file__).parents[2]
 LOG = logging.getLogger("mkdocs.hooks.pages")
 
 NAVIGATION = {
-    "Guide": ("commands", "training", "simulate", "evaluation", "reductions", "inverse", "formats", "export", "extend"),
-    "Measured": ("results", "chart", "performance", "stability", "trust", "reference", "shallow"),
+    "Guide": (
+        *("quickstart", "commands", "python", "simulate", "training", "data", "evaluation"),
+        *("inverse", "formats", "export", "extend"),
+    ),
+    "Measured": ("results", "chart", "reductions", "stability", "trust", "performance", "reference"),
 }
 PROJECT = {"The trajectory file": "SCHEMA.md", "Decisions": "decisions.md"}
 BORROWED = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
