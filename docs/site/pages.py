@@ -32,7 +32,7 @@ NAVIGATION = {
         *("quickstart", "commands", "python", "simulate", "training", "data", "evaluation"),
         *("inverse", "formats", "export", "extend"),
     ),
-    "Measured": ("results", "chart", "reductions", "stability", "trust", "performance", "reference"),
+    "Measured": ("results", "chart", "reductions", "stability", "trust", "performance", "reference", "shallow"),
 }
 PROJECT = {"The trajectory file": "SCHEMA.md", "Decisions": "decisions.md"}
 BORROWED = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
