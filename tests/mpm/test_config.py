@@ -10,7 +10,7 @@ import pytest
 
 from gns_pl.errors import InputError
 from gns_pl.machine import available_cores, code_folder
-from gns_pl.mpm import COURANT_LIMIT, simulate
+from gns_pl.mpm import COURANT_LIMIT, MPMConfig, simulate
 from gns_pl.mpm.compiled import SUBFOLDER, compiled
 from gns_pl.mpm.settings import num_threads_alone
 from gns_pl.scene import Body
@@ -83,3 +83,12 @@ def test_a_large_run_has_the_threads_that_the_environment_allows(monkeypatch: py
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     assert num_threads_alone(box, mpm) == 1
     assert num_threads_alone(box, {**mpm, "cell_size": 1 / 12}) == 1
+
+
+def test_presets_are_the_numbers_of_the_configuration() -> None:
+    paper, fast = (MPMConfig.preset(name, cell_size=0.1) for name in ("paper", "fast"))
+    assert (paper.cell_size, paper.points_per_direction, paper.courant, paper.precision) == (0.1, 4, 0.3, "float64")
+    assert (fast.points_per_direction, fast.courant, fast.precision) == (2, 0.5, "float32")
+    assert MPMConfig.preset("fast", cell_size=0.1, courant=0.2).courant == 0.2
+    with pytest.raises(InputError, match="unknown key"):
+        MPMConfig.preset("fast", cell_size=0.1, courants=0.2)
