@@ -38,6 +38,10 @@ def test_what_a_model_is_for_is_a_name_of_it(tmp_path: Path, monkeypatch: pytest
     for alias, name in ALIASES.items():
         assert find_checkpoint(alias) == FOLDER / f"{name}.ckpt"
         assert load_checkpoint(alias).provenance["config"]["name"] == name
+        (tmp_path / alias).mkdir()  # as out=column-fast leaves one: a folder hides no model
+        assert find_checkpoint(alias) == FOLDER / f"{name}.ckpt"
+    (tmp_path / "corrected_plane").mkdir()
+    assert find_corrector("corrected_plane") == FOLDER / "corrected_plane.corrector"
 
 
 def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,9 +9,10 @@ import numba
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.machine import code_folder
-from gns_pl.mpm import COURANT_LIMIT, simulate
+from gns_pl.machine import available_cores, code_folder
+from gns_pl.mpm import COURANT_LIMIT, MPMConfig, simulate
 from gns_pl.mpm.compiled import SUBFOLDER, compiled
+from gns_pl.mpm.settings import num_threads_alone
 from gns_pl.scene import Body
 from tests.mpm.conftest import make_box, make_mpm
 
@@ -71,3 +72,23 @@ def test_the_cache_is_named_by_the_sources_and_numba_is_left_as_it_was() -> None
     folder = code_folder(Path(__file__).parent / "__pycache__")
     assert folder is not None and SUBFOLDER.startswith("mpm-")
     assert any((folder / SUBFOLDER).rglob("*_twice*.nbi"))
+
+
+def test_a_large_run_has_the_threads_that_the_environment_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+    mpm = vars(make_mpm(cell_size=1 / 60, points_per_direction=2))
+    most = min(available_cores(), int(numba.config.NUMBA_NUM_THREADS))
+    box = make_box((1.0, 1.0), Body((0.0, 0.0), (1.0, 0.5), (0.0, 0.0)), duration=0.1)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    assert num_threads_alone(box, mpm) == most
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert num_threads_alone(box, mpm) == 1
+    assert num_threads_alone(box, {**mpm, "cell_size": 1 / 12}) == 1
+
+
+def test_presets_are_the_numbers_of_the_configuration() -> None:
+    paper, fast = (MPMConfig.preset(name, cell_size=0.1) for name in ("paper", "fast"))
+    assert (paper.cell_size, paper.points_per_direction, paper.courant, paper.precision) == (0.1, 4, 0.3, "float64")
+    assert (fast.points_per_direction, fast.courant, fast.precision) == (2, 0.5, "float32")
+    assert MPMConfig.preset("fast", cell_size=0.1, courant=0.2).courant == 0.2
+    with pytest.raises(InputError, match="unknown key"):
+        MPMConfig.preset("fast", cell_size=0.1, courants=0.2)

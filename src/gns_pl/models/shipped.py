@@ -34,13 +34,13 @@ def corrector_names() -> list[str]:
 def find_checkpoint(path: str | Path) -> Path:
     """Return the path of a checkpoint: that of a model of the package if its bare name or alias is given."""
     name = ALIASES.get(str(path), str(path))
-    return FOLDER / f"{name}.ckpt" if name in pretrained_names() and not Path(path).exists() else Path(path)
+    return FOLDER / f"{name}.ckpt" if name in pretrained_names() and not Path(path).is_file() else Path(path)
 
 
 def find_corrector(path: str | Path) -> Path:
     """Return the path of a corrector: that of one that comes with the package if its bare name is given."""
     shipped = FOLDER / f"{path}{CORRECTOR}"
-    return shipped if shipped.is_file() and not Path(path).exists() else Path(path)
+    return shipped if shipped.is_file() and not Path(path).is_file() else Path(path)
 
 
 def is_corrector(path: str | Path) -> bool:

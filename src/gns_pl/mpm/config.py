@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.mpm.laws import DRUCKER_PRAGER, find_law
+from gns_pl.presets import preset
+from gns_pl.scene import part_from_dict
 from gns_pl.scene.checks import checked_number
 
 COURANT_LIMIT = 0.6
@@ -15,6 +18,9 @@ about 1 it drifts, by 10 % at 1.9, without a sign of failure (docs/reference.md)
 TRANSFERS = {"pic": (0.0, 0.0), "flip": (0.0, 1.0), "apic": (1.0, 0.0), "affine_flip": (1.0, 1.0)}
 """Transfer → which part of the affine momentum points give to the grid, and which part of their own velocity they keep
 when they get the grid's change."""
+
+PRESETS = {"paper": "data/cube106", "fast": "choice/default"}
+"""Name of a preset → file of the configuration whose "mpm" it is."""
 
 SHAPES = ("quadratic", "linear")
 PRECISIONS = ("float64", "float32")
@@ -66,6 +72,24 @@ class MPMConfig:
     precision: str = "float64"
     allow_large_courant: bool = False
     law: str = DRUCKER_PRAGER
+
+    @classmethod
+    def preset(cls, name: str = "paper", *, cell_size: float, **changes: Any) -> MPMConfig:
+        """Return the settings by which the paper's data were made, or the fastest for their error.
+
+        Args:
+            name: "paper" (conf/data/cube106.yaml), or "fast" (conf/choice/default.yaml).
+            cell_size: wanted edge of a grid cell [m].
+            changes: of the other attributes.
+
+        Raises:
+            InputError: another name, or settings that are refused.
+        """
+        if name not in PRESETS:
+            raise InputError(f"MPM.preset: there is no {name!r}; there are {' and '.join(PRESETS)}.")
+        settings = {**preset(PRESETS[name])["mpm"], **changes, "cell_size": cell_size}
+        config: MPMConfig = part_from_dict(cls, "mpm", settings)
+        return config
 
     def __post_init__(self) -> None:
         for name in ("cell_size", "courant"):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -116,7 +118,8 @@ def num_threads_alone(scene: Scene, mpm: Mapping[str, Any]) -> int:
     import numba
 
     num_points = len(fill_scene(scene, solver_config(mpm).spacing).position)
-    cores = min(available_cores(), int(numba.config.NUMBA_NUM_THREADS))
+    asked = os.environ.get("OMP_NUM_THREADS", "")  # what limits the threads of most libraries limits these too
+    cores = min(available_cores(), int(numba.config.NUMBA_NUM_THREADS), int(asked) if asked.isdigit() else sys.maxsize)
     return cores if num_points >= LARGE else 1
 
 

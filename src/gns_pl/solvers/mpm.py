@@ -10,17 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import gns_pl
-from gns_pl.errors import InputError
 from gns_pl.machine import available_cores
+from gns_pl.mpm import MPMConfig
 from gns_pl.mpm import settings as mpm_settings
-from gns_pl.presets import preset
 from gns_pl.scene import Scene
 from gns_pl.solvers.recording import Recording
 from gns_pl.solvers.reduction import Reduction, reduce_scene
 from gns_pl.solvers.solver import Solver, characteristic_size, hashed
 from gns_pl.trajectory import Trajectory, start_trajectory
-
-PRESETS = ("paper", "fast")
 
 FRAME_INTERVAL = 0.01
 """Time between frames where nobody asks for another [s]."""
@@ -56,7 +53,7 @@ class MPMSolver(Solver):
         """Return the method as the paper's data were made, or as it is fastest for its error.
 
         Args:
-            name: "paper" (conf/data/cube106.yaml), or "fast" (conf/choice/default.yaml).
+            name: of the preset, "paper" or "fast" (`MPMConfig.preset`).
             cell_size: edge of a cell [m].
             device: "cpu", "cuda" or "auto".
             changes: of the settings (`mpm.MPMConfig`).
@@ -64,12 +61,8 @@ class MPMSolver(Solver):
         Raises:
             InputError: another name, or settings that are refused.
         """
-        if name not in PRESETS:
-            raise InputError(f"MPM.preset: there is no {name!r}; there are {' and '.join(PRESETS)}.")
-        base = preset("data/cube106" if name == "paper" else "choice/default")["mpm"]
-        settings = {**base, **changes}
-        mpm_settings.solver_config({**settings, "cell_size": cell_size})
-        settings.pop("cell_size", None)
+        settings = vars(MPMConfig.preset(name, cell_size=cell_size, **changes))
+        settings = {key: value for key, value in settings.items() if key != "cell_size"}
         return cls(f"mpm_{cell_size:g}m", 0.0, settings, cell_size=float(cell_size)).on(device)
 
     @property

@@ -22,9 +22,9 @@ GROUPS = {
     "extrapolated": ("two MPM runs extrapolated", "#56B4E9", "x"),
     "law": ("law of the aspect ratio (microseconds)", "#E69F00", "+"),
     "trivial": ("trivial", "#777777", "^"),
-    "other": ("others", "#000000", "*"),
+    "other": ("other solvers", "#000000", "P"),
 }
-"""Group → legend, colour (Okabe and Ito's), marker."""
+"""Group → legend, colour (Okabe and Ito's), marker. A group that is not here is drawn as "other"."""
 
 LEAST, SOON = 2e-3, 2e-4
 """Errors are drawn as at least this; what takes less time [s] is drawn at this, for the axes are logarithmic."""
@@ -36,7 +36,7 @@ class Mark:
 
     Attributes:
         name: of the setting.
-        group: in `GROUPS`.
+        group: in `GROUPS`, or another.
         seconds: wall time of a scene [s].
         low: of the fastest run.
         high: of the slowest.
@@ -109,6 +109,11 @@ def plot_chart(
             figure.savefig(path)
 
 
+def shown_group(mark: Mark) -> str:
+    """Return the group as which a setting is drawn."""
+    return mark.group if mark.group in GROUPS else "other"
+
+
 def _draw_front(axes: Any, every: Sequence[Mark], measure: str, band: float, words: str) -> None:
     axes.axhspan(
         LEAST / 2, max(band, LEAST / 2), color="0.92", linewidth=0, zorder=-2, label="the reference's own uncertainty"
@@ -116,7 +121,7 @@ def _draw_front(axes: Any, every: Sequence[Mark], measure: str, band: float, wor
     marks = [mark for mark in every if np.isfinite(mark.errors[measure])]
     named: list[tuple[str, tuple[float, float], str]] = []
     for group, (legend, colour, marker) in GROUPS.items():
-        own = sorted((mark for mark in every if mark.group == group), key=lambda mark: mark.seconds)
+        own = sorted((mark for mark in every if shown_group(mark) == group), key=lambda mark: mark.seconds)
         if own:  # in every panel, so that the legend of one is that of all
             face = {} if marker in "x+" else {"markerfacecolor": colour}
             axes.plot([], [], color=colour, marker=marker, markersize=5, linestyle="none", label=legend, **face)
@@ -149,7 +154,7 @@ def _draw_front(axes: Any, every: Sequence[Mark], measure: str, band: float, wor
 def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, float]]]]) -> None:
     named: list[tuple[str, tuple[float, float], str]] = []
     for name, (group, points) in rates.items():
-        _, colour, marker = GROUPS[group]
+        _, colour, marker = GROUPS.get(group, GROUPS["other"])
         sizes, speeds = zip(*sorted(points), strict=True)
         axes.plot(sizes, speeds, color=colour, marker=marker, markersize=3, linewidth=0.8)
         named.append((name, (sizes[-1], speeds[-1]), colour))
@@ -171,7 +176,7 @@ def _draw_costs(axes: Any, every: Sequence[Mark], measure: str) -> None:
     marks = [mark for mark in every if np.isfinite(mark.errors[measure])]
     named: list[tuple[str, tuple[float, float], str]] = []
     for mark in marks:
-        _, colour, marker = GROUPS[mark.group]
+        _, colour, marker = GROUPS[shown_group(mark)]
         place = mark.spent, max(mark.errors[measure], LEAST)
         axes.plot(*place, color=colour, marker=marker, markersize=4, linestyle="none")
         named.append((f"{mark.name}: {mark.pays}", place, colour))

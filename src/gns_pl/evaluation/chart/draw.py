@@ -16,7 +16,6 @@ from gns_pl.evaluation.chart.words import caption, page, scenes_of, threads_of
 from gns_pl.io.atomic import write_atomically
 from gns_pl.io.tables import write_table
 from gns_pl.viz import Mark, plot_chart
-from gns_pl.viz.chart import GROUPS
 
 PAGE, POINTS, FIGURES = "chart.md", "chart.csv", ("chart.png", "chart.svg")
 
@@ -46,7 +45,7 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     under = f"By {MEASURES['worse']}: {said['worse']}"
     marks = [
         Mark(
-            name=each.name, group=drawn_group(each.group), seconds=each.seconds, low=each.seconds_low,
+            name=each.name, group=each.group, seconds=each.seconds, low=each.seconds_low,
             high=each.seconds_high, errors={measure: each.error(measure) for measure in MEASURES},
             label=label(each, len(plan.scenes)), whole=each.name.endswith("_whole"), on_fronts=each.on_fronts.split(),
             spent=each.data_seconds + each.train_seconds, pays=scenes_of(each),
@@ -55,7 +54,7 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     ]  # fmt: skip
     rates: dict[str, tuple[str, list[tuple[int, float]]]] = {}
     for row in batches:
-        rates.setdefault(row.name, (drawn_group(row.group), []))[1].append((row.batch, row.scenes_per_second))
+        rates.setdefault(row.name, (row.group, []))[1].append((row.batch, row.scenes_per_second))
     where = "; ".join(f"{place.machine}, {threads_of(place)} a run" for place in plan.places.values())
     title = f"{', '.join(each.name for each in plan.scenes)}: {where}"
     figures = [out / name for name in FIGURES]
@@ -68,11 +67,6 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     if logger is not None:
         made += tracking.log_chart(points, figures[0], under, command=plan.command, out=out, **logger)
     return made
-
-
-def drawn_group(group: str) -> str:
-    """Return the group under which a solver is drawn: its own, or "other" for one that the figure does not know."""
-    return group if group in GROUPS else "other"
 
 
 def label(point: Point, scenes: int) -> str:
