@@ -26,7 +26,7 @@ ARREST_TOLERANCE = 0.02
 
 ARREST_SHARE = 1e-3
 """A flow is over once its kinetic energy stays below this share of its peak. That of MPM falls from 1e-2 to 1e-5 of it
-within 0.1 s, so little depends on the share, and less than 0.02 s on the cells; learned simulators creep on at 1e-4."""
+within 0.2 s, so little depends on the share, and less than 0.05 s on the cells; learned simulators creep on at 1e-4."""
 
 
 def particle_spacing(trajectory: Trajectory) -> float:
