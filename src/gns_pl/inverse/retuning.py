@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +15,13 @@ from gns_pl.generation import reference_trajectory
 from gns_pl.inverse.fit import Floats
 from gns_pl.inverse.observed import Observed, observe
 from gns_pl.inverse.scenes import short_scene
-from gns_pl.inverse.search import Goal, Runs, described, search
+from gns_pl.inverse.search import Goal, Runs, search
 from gns_pl.io.lock import locked
 from gns_pl.io.tables import write_table
 from gns_pl.mpm.settings import solver_config, solver_version
 from gns_pl.scene import Scene, read_scene
 from gns_pl.solvers.reduction import reduce_scene
-from gns_pl.solvers.retuned import RetunedMPMSolver, range_of, write_retuned
+from gns_pl.solvers.retuned import Factors, RetunedMPMSolver, range_of, write_retuned
 from gns_pl.solvers.solver import hashed
 from gns_pl.text import command
 
@@ -60,12 +60,22 @@ class Row:
     map_after: float
 
 
-def retune(goal: Goal, held_out: Goal | None, *, out: Path, name: str, fitted: Mapping[str, Any], **how: Any) -> Path:
+def retune(
+    make_goal: Callable[[Sequence[Scene]], Goal],
+    scenes: Sequence[Scene],
+    held_out: Sequence[Scene] = (),
+    *,
+    out: Path,
+    name: str,
+    fitted: Mapping[str, Any],
+    **how: Any,
+) -> Path:
     """Fit, judge, and write a solver's file OUT/NAME.yaml and its errors OUT/NAME.csv.
 
     Args:
-        goal: what is sought.
-        held_out: on what it is judged besides, if on anything.
+        make_goal: returns what is sought on scenes, their fine runs included.
+        scenes: to fit to.
+        held_out: on which it is judged besides.
         out: folder; made.
         name: of the solver.
         fitted: provenance that is not known here.
@@ -80,32 +90,32 @@ def retune(goal: Goal, held_out: Goal | None, *, out: Path, name: str, fitted: M
     """
     out.mkdir(parents=True, exist_ok=True)
     with locked(out / ".fit.lock", on_wait=lambda: print(f"{out}: another fit is writing here; waiting for it")):
+        goal = make_goal(scenes)
         parts = [goal.weights.tolist(), goal.map_cell, goal.interval, goal.seed, dict(fitted)]
-        scenes = [scene.to_dict() for scene in goal.scenes]
-        runs = Runs(out / "runs.json", hashed([goal.solver.identity(), scenes, *parts]))
-        factors = search(goal, runs=runs, **how)
-        before = tuple(vars(goal.solver.factors).values())
-        rows = _rows(goal, False, runs.errors[before], runs.errors[tuple(vars(factors).values())])
-        if held_out is not None and held_out.scenes:
-            mean = [
-                np.mean([held_out.errors(each, 1000 + 100 * shift) for shift in range(PLACEMENTS)], axis=0)
-                for each in (goal.solver.factors, factors)
-            ]
-            rows += _rows(held_out, True, *mean)
+        runs = Runs(out / "runs.json", hashed([goal.solver.identity(), [scene.to_dict() for scene in scenes], *parts]))
+        plain, factors = goal.solver.factors, search(goal, runs=runs, **how)
+        rows = _rows(scenes, False, *(runs.errors[tuple(vars(each).values())] for each in (plain, factors)))
+        if held_out:
+            judged = make_goal(held_out)
+            rows += _rows(held_out, True, *(_mean_errors(judged, each) for each in (plain, factors)))
         write_table(out / f"{name}.csv", Row, rows, digits=4)
-        solver = replace(goal.solver, factors=factors, fitted_range=range_of(goal.scenes))
         summary = {
             **fitted,
             "runs": len(runs.errors),
-            "scenes": [scene.name for scene in goal.scenes],
+            "scenes": [scene.name for scene in scenes],
             "errors": {kind: _summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
             "solver_version": solver_version(),
         }
         path = out / f"{name}.yaml"
-        write_retuned(path, solver, summary)
-    print(f"\n{table(rows)}\n\n{path}: {described(list(vars(factors).values()), _after(rows))}")
+        write_retuned(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), summary)
+    print(f"\n{table(rows)}\n\n{path}: {', '.join(f'{key} {value:.3g}' for key, value in vars(factors).items())}")
     print(f"To run it: {command('simulate')} solver={path} scene=mine.yaml")
     return path
+
+
+def _mean_errors(goal: Goal, factors: Factors) -> Floats:
+    """Return the errors of every scene, the mean over placements that no fit has seen [S, 3]."""
+    return np.asarray(np.mean([goal.errors(factors, 1000 * number) for number in range(1, PLACEMENTS + 1)], axis=0))
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -138,13 +148,11 @@ def _summary(rows: Sequence[Row]) -> dict[str, list[float]]:
     }
 
 
-def _after(rows: Sequence[Row]) -> Floats:
-    return np.array([[row.front_after, row.height_after, row.map_after] for row in rows])
-
-
-def _rows(goal: Goal, held_out: bool, before: Floats, after: Floats) -> list[Row]:
-    pairs = zip(goal.scenes, before.tolist(), after.tolist(), strict=True)
-    return [Row(scene.name, held_out, *(v for pair in zip(a, b, strict=True) for v in pair)) for scene, a, b in pairs]
+def _rows(scenes: Sequence[Scene], held_out: bool, before: Floats, after: Floats) -> list[Row]:
+    return [
+        Row(scene.name, held_out, *np.column_stack(pair).ravel().tolist())
+        for scene, *pair in zip(scenes, before, after, strict=True)
+    ]
 
 
 def fit_config(cfg: DictConfig) -> Path:
@@ -169,8 +177,9 @@ def fit_config(cfg: DictConfig) -> Path:
         raise InputError(f"weights: needs front, height and map, not {', '.join(weights)}.")
     mpm, fine = settings["choice"]["mpm"], settings["fine"]
     solver_config({**mpm, "cell_size": 1 / fine["cells_per_metre"]})
-    goals = [
-        Goal(
+
+    def make_goal(group: Sequence[Scene]) -> Goal:
+        return Goal(
             solver=RetunedMPMSolver(settings["name"], float(settings["cells"]), mpm),
             scenes=group,
             references=[fine_deposit(scene, settings) for scene in group],
@@ -179,10 +188,11 @@ def fit_config(cfg: DictConfig) -> Path:
             interval=fine["interval"],
             seed=settings["seed"],
         )
-        for group in (fitted, held_out)
-    ]
+
     return retune(
-        *goals,
+        make_goal,
+        fitted,
+        held_out,
         out=Path(settings["out"]),
         name=settings["name"],
         fitted={"fine": fine, "weights": weights},
