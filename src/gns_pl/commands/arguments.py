@@ -23,14 +23,6 @@ LISTS = (
     *("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.corrected", "choice.retuned"),
     "hydra.searchpath",
 )
-    "ckpt",
-    "scene",
-    "evaluation.scenes",
-    "choice.learned",
-    "choice.corrected",
-    "choice.retuned",
-    "hydra.searchpath",
-)
 """Keys whose value is the name of a file, or a list of such names: [a,b]."""
 
 NAMES = (
