@@ -120,7 +120,7 @@ def search(goal: Goal, bounds: Mapping[str, Sequence[float]], *, difference: flo
     Raises:
         InputError: bounds of other names, not positive, or without the factors where the search begins.
     """
-    if set(bounds) != set(NAMES) or not all(0 < min(pair) < max(pair) for pair in bounds.values()):
+    if set(bounds) != set(NAMES) or not all(0 < low < high for low, high in bounds.values()):
         raise InputError(f"bounds: needs two positive numbers, the smaller first, for each of {', '.join(NAMES)}.")
     lower, upper = (np.log([bounds[name][side] for name in NAMES]).tolist() for side in (0, 1))
     box, start = Bounds(lower, upper), np.log(list(vars(goal.solver.factors).values())).tolist()
