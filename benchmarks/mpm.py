@@ -105,7 +105,7 @@ def prepare_cpu(scene: Scene, config: MPMConfig, threads: int) -> tuple[int, Cal
     plan, particles = start(scene, config)
     state = make_state(scene, particles, plan.grid, config)
     setting = make_setting(scene, plan.grid, config, plan.dt)
-    advance = make_advance(config.shape, config.precision, threads > 1)
+    advance = make_advance(config.shape, config.precision, threads > 1, config.law)
     numba.set_num_threads(threads)
 
     def run(parts: int) -> int:

@@ -31,7 +31,7 @@ from gns_pl.rollout import rollout
 from gns_pl.scene import Body, Material, Scene, Wall
 from gns_pl.scene.extent import characteristic_time
 from gns_pl.solvers.ood import compute_ood
-from gns_pl.training.seen import add_seen
+from gns_pl.training.distribution import add_distribution
 
 SAND = Material(
     density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30, cohesion=100, tension_cutoff=50
@@ -328,7 +328,7 @@ def main() -> None:
     parser.add_argument("--add", nargs=3, metavar=("CKPT", "DATA", "OUT"), help="add to a checkpoint what it saw")
     args = parser.parse_args()
     if args.add:
-        print(add_seen(args.add[0], Path(args.add[1]), Path(args.add[2])) or f"{args.add[2]}: written")
+        print(add_distribution(args.add[0], Path(args.add[1]), Path(args.add[2])) or f"{args.add[2]}: written")
         return
     types = {"int": int, "float": float, "str": str}
     if args.from_table:

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from inverse_page import WAYS, read_text, write_figure, write_page
 
-from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Fit, Problem, deposit_thickness, descend, solve, stroll
+from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Fit, Problem, adam, deposit_thickness, lbfgs, solve
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.mpm.settings import run_solver
 from gns_pl.scene import Material, Scene, Wall, cube_drop
@@ -92,7 +92,7 @@ def fits(
         return lambda unknowns: deposit_of_mpm(data, unknowns, cell, seed=0)
 
     def down(way: ByGradient | ByDifferences) -> tuple[Fit, int]:
-        return descend(way, GUESS, BOUNDS, tolerance=1e-3, most=40), way.num_rollouts
+        return lbfgs(way, GUESS, BOUNDS, tolerance=1e-3, most=40), way.num_rollouts
 
     def solved(deposit: Callable[[np.ndarray], torch.Tensor]) -> tuple[Fit, int]:
         deposit(np.array(GUESS))  # what is compiled is compiled
@@ -101,7 +101,7 @@ def fits(
 
     ways: dict[str, Callable[[], tuple[Fit, int]]] = {
         "gradient": lambda: down(ByGradient(problem)),
-        "gradient, Adam": lambda: (stroll(ByGradient(problem), GUESS, BOUNDS, most=WALK, pace=0.08), WALK),
+        "gradient, Adam": lambda: (adam(ByGradient(problem), GUESS, BOUNDS, most=WALK, pace=0.08), WALK),
         "differences": lambda: down(ByDifferences(problem, DIFFERENCES)),
         "least squares": lambda: solved(learned),
         "MPM 1/24 m": lambda: solved(mpm(COARSE)),

@@ -12,7 +12,7 @@ import pytest
 import torch
 import torch.multiprocessing
 
-from gns_pl.graph import Draws, Static
+from gns_pl.graph import SceneBatch, WindowRandom
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.simulator import Simulator
 from gns_pl.scene import Material, Scene, Wall, column_collapse, cube_drop, fill_scene
@@ -98,18 +98,18 @@ def make_simulator(**changes: object) -> Simulator:
 class CallStepper:
     """A stepper of a function of history and scenes, in the place of a simulator's step."""
 
-    def __init__(self, simulator: Simulator, step: Callable[[torch.Tensor, Static], torch.Tensor]) -> None:
+    def __init__(self, simulator: Simulator, step: Callable[[torch.Tensor, SceneBatch], torch.Tensor]) -> None:
         self.step = step
         self.config, self.device, self.history_length = simulator.config, simulator.device, simulator.history_length
 
-    def __call__(self, history: torch.Tensor, static: Static) -> torch.Tensor:
+    def __call__(self, history: torch.Tensor, static: SceneBatch) -> torch.Tensor:
         return self.step(history, static)
 
 
-def make_static(number: int, *, graphs: int = 1, gravity: tuple[float, ...] = (0.0, 0.0, -9.81)) -> Static:
-    """Static tensors of `graphs` equal scenes of `number` particles each, in a unit box."""
+def make_static(number: int, *, graphs: int = 1, gravity: tuple[float, ...] = (0.0, 0.0, -9.81)) -> SceneBatch:
+    """What stays the same in a run, of `graphs` equal scenes of `number` particles each, in a unit box."""
     dim = len(gravity)
-    return Static(
+    return SceneBatch(
         particle_type=torch.full((number * graphs,), 6),
         material=torch.full((number * graphs, 1), 0.577),
         volume=torch.full((number * graphs,), 1e-3),
@@ -120,9 +120,9 @@ def make_static(number: int, *, graphs: int = 1, gravity: tuple[float, ...] = (0
     )
 
 
-def make_draws(static: Static, seed: int = 0) -> Draws:
+def make_random(static: SceneBatch, seed: int = 0) -> WindowRandom:
     """Random numbers of the windows 0, 1, … for the scenes of `make_static`."""
-    return Draws(seed, torch.arange(static.num_graphs), static.batch)
+    return WindowRandom(seed, torch.arange(static.num_graphs), static.batch)
 
 
 def make_start(scene: Scene, spacing: float = 0.05, dt: float = 0.01) -> Trajectory:

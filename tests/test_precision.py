@@ -113,7 +113,7 @@ def test_statistics_and_corrections_are_the_same(drop: Scene, double: Any) -> No
 
     config = CorrectorConfig(
         dim=3, interval=0.02, spacing=0.05, connectivity_radius=0.11, mpm={}, latent_size=8, num_mlp_layers=1,
-        num_message_passing_steps=1, slow=0.1,
+        num_message_passing_steps=1, velocity_threshold=0.1,
     )  # fmt: skip
     start = make_start(drop)
     position = torch.from_numpy(start.position[0])

@@ -1,6 +1,6 @@
 """The one error a user can cause: wrong input. Its message is one sentence that says what is wrong and what to do.
 
-Nothing but the error type and its printing at a door belongs here.
+Nothing but the error type and its printing by a command belongs here.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ class InputError(ValueError):
 
 @contextmanager
 def tolerated(what: str) -> Iterator[None]:
-    """Go on with one sentence on stderr after whatever is raised: a figure or a report must not cost a result.
+    """Go on with one line on stderr after whatever is raised: a figure or a report must not cost a result.
 
     Args:
-        what: is being made, at the beginning of the sentence.
+        what: is being made, at the beginning of the line.
     """
     try:
         yield
@@ -32,13 +32,13 @@ def tolerated(what: str) -> Iterator[None]:
 
 
 @contextmanager
-def told_plainly(door: str, *, in_sweep: bool = False) -> Iterator[None]:
+def report_input_errors(command: str, *, in_sweep: bool = False) -> Iterator[None]:
     """Turn an `InputError`, or a file that may not be touched, into one line on stderr and exit status 2.
 
     What the process lacks is made up for first: a home folder, characters that the terminal cannot show.
 
     Args:
-        door: name of the command, printed before the sentence.
+        command: its name, printed before the message.
         in_sweep: raise the error again instead of ending, so that Hydra goes on with the other jobs.
 
     Raises:
@@ -50,13 +50,13 @@ def told_plainly(door: str, *, in_sweep: bool = False) -> Iterator[None]:
     except (InputError, OSError) as error:
         if isinstance(error, OSError) and error.filename is None:
             raise
-        print(f"{door}: {file_sentence(error) if isinstance(error, OSError) else error}", file=sys.stderr)
+        print(f"{command}: {file_error_message(error) if isinstance(error, OSError) else error}", file=sys.stderr)
         if in_sweep:
-            error.was_told = True  # type: ignore[union-attr]
+            error.was_reported = True  # type: ignore[union-attr]
             raise
         raise SystemExit(2) from error
 
 
-def file_sentence(error: OSError) -> str:
+def file_error_message(error: OSError) -> str:
     """Return what is wrong with the file that an `OSError` names."""
     return f"{error.filename}: cannot be used ({error.strerror}); check the name and its permissions."

@@ -109,11 +109,11 @@ def private_folder() -> Path | None:
     try:
         folder = Path(tempfile.gettempdir()) / f"gns_pl-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
+        status = folder.lstat()
     except OSError:
         return None
     # The name can be guessed, and code is loaded from here: what another user has put there is left alone.
-    mine = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022
+    mine = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
     return folder if mine and is_writable(folder) else None
 
 
@@ -160,11 +160,11 @@ def compile_function(function: F, subfolder: str = "", **options: Any) -> F:
     # Read when the decorator runs, so it can be put back at once.
     numba.config.CACHE_DIR = str(folder / subfolder) if folder is not None else ""
     try:
-        made: Any = numba.njit(cache=folder is not None, **options)(function)
+        compiled: Any = numba.njit(cache=folder is not None, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
-    made._cache._guard_against_spurious_io_errors = _compile_anew
-    return cast(F, made)
+    compiled._cache._guard_against_spurious_io_errors = _compile_anew
+    return cast(F, compiled)
 
 
 @contextlib.contextmanager

@@ -37,9 +37,9 @@ def quoted_value(value: str | Path, *, interpolated: bool = False) -> str:
     text = str(value)
     if PLAIN.fullmatch(text):
         return text
-    escaped = re.sub(r'(\\*)("|$)', lambda found: found[1] * 2 + ('\\"' if found[2] else ""), text)
+    escaped = re.sub(r'(\\*)("|$)', lambda match: match[1] * 2 + ('\\"' if match[2] else ""), text)
     if not interpolated:
-        escaped = re.sub(r"(\\*)\$\{", lambda found: found[1] * 2 + r"\${", escaped)
+        escaped = re.sub(r"(\\*)\$\{", lambda match: match[1] * 2 + r"\${", escaped)
     return f'"{escaped}"'
 
 
@@ -73,18 +73,18 @@ def nearest(name: str, known: Iterable[str], *, dotted: bool = False) -> list[st
         return SequenceMatcher(None, first.lower(), second.lower(), autojunk=False).ratio()
 
     scores: dict[str, float] = {}
-    for each in known:
-        scores[each] = similar(name, each)
+    for other in known:
+        scores[other] = similar(name, other)
         if dotted:
-            scores[each] = max(scores[each], 0.99 * similar(name.rpartition(".")[2], each.rpartition(".")[2]))
-    likely = sorted((each for each in scores if scores[each] >= LIKELY), key=lambda each: (-scores[each], each))
-    return [each for each in likely if scores[each] >= scores[likely[0]] - 0.1][:3]
+            scores[other] = max(scores[other], 0.99 * similar(name.rpartition(".")[2], other.rpartition(".")[2]))
+    likely = sorted((other for other in scores if scores[other] >= LIKELY), key=lambda other: (-scores[other], other))
+    return [other for other in likely if scores[other] >= scores[likely[0]] - 0.1][:3]
 
 
 def did_you_mean(name: str, known: Iterable[str], *, dotted: bool = False) -> str:
     """Return " (did you mean X?)" with the most similar of the known names, or nothing; arguments as of `nearest`."""
-    found = nearest(name, known, dotted=dotted)
-    return f" (did you mean {' or '.join(found)}?)" if found else ""
+    likely = nearest(name, known, dotted=dotted)
+    return f" (did you mean {' or '.join(likely)}?)" if likely else ""
 
 
 def number(value: float | None, std: float | None = None) -> str:

@@ -123,7 +123,6 @@ COMMANDS = {
     "evaluate": ["ckpt", "out", "cache", "evaluation.scenes"],
     "simulate": ["ckpt", "scene", "out", "choice.records"],
     "generate": ["data.root"],
-    "correction": ["data.root", "name", "description", "hydra.run.dir"],
     "benchmark": ["ckpt", "out", "cache", "records", "publish"],
     "convert": ["source", "target", "deck", "name", "weights.metadata", "weights.data", "weights.description"],
 }

@@ -25,7 +25,7 @@ SMALL = [
 ]  # fmt: skip
 
 
-def door(folder: Path, name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def command(folder: Path, name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return call(folder, name, *arguments)
 
 
@@ -47,9 +47,11 @@ def test_convert_train_evaluate(tmp_path: Path, dim: int) -> None:
     fixtures.write_geoelements(tmp_path / "theirs", positions, scenes[0][1], np.float64(0.5))
     metadata = json.loads((tmp_path / "theirs/metadata.json").read_text())
     (tmp_path / "theirs/metadata.json").write_text(json.dumps({**metadata, "dt": 0.02}))
-    made = door(tmp_path, "convert.py", "source=theirs", "target=datasets/theirs", "trust=true", "material_value=tan")
+    made = command(
+        tmp_path, "convert.py", "source=theirs", "target=datasets/theirs", "trust=true", "material_value=tan"
+    )
     assert made.returncode == 0, made.stderr
-    trained = door(tmp_path, "train.py", "data=datasets/theirs", *SMALL)
+    trained = command(tmp_path, "train.py", "data=datasets/theirs", *SMALL)
     assert trained.returncode == 0, trained.stderr
     checkpoint = load_checkpoint(tmp_path / "runs/theirs/last.ckpt")
     config = checkpoint.simulator.config
@@ -60,7 +62,7 @@ def test_convert_train_evaluate(tmp_path: Path, dim: int) -> None:
 
     figures = f"evaluation.figures={'true' if dim == 2 else 'false'}"
     options = ("ckpt=runs/theirs/last.ckpt", figures, "evaluation.save_trajectories=true", "logger.enabled=false")
-    judged = door(tmp_path, "evaluate.py", *options, "evaluation.split=test")
+    judged = command(tmp_path, "evaluate.py", *options, "evaluation.split=test")
     assert judged.returncode == 0, judged.stderr
     folder = tmp_path / "runs/theirs/evaluation"
     document = json.loads((folder / "metrics.json").read_text())
@@ -78,26 +80,26 @@ def test_without_a_split_imported_data_are_judged_on_their_tests(tmp_path: Path)
     for number, position in enumerate(scenes):
         np.savez(tmp_path / f"plain/{number}.npz", position=position, particle_type=with_obstacle(2, 0)[1])
     box = ("lower=[0,0]", "upper=[1,1]", "dt=0.02")
-    made = door(tmp_path, "convert.py", "source=plain", "target=theirs", *box)
+    made = command(tmp_path, "convert.py", "source=plain", "target=theirs", *box)
     assert made.returncode == 0, made.stderr
-    advised = door(tmp_path, "train.py", "data=theirs", "advise=true", *SMALL)
+    advised = command(tmp_path, "train.py", "data=theirs", "advise=true", *SMALL)
     assert advised.returncode == 0 and "neighbours" in advised.stdout, advised.stderr
-    trained = door(tmp_path, "train.py", "data=imported", "data.root=theirs", *SMALL, "training.stride=2")
+    trained = command(tmp_path, "train.py", "data=imported", "data.root=theirs", *SMALL, "training.stride=2")
     assert trained.returncode == 0, trained.stderr
-    judged = door(
+    judged = command(
         tmp_path, "evaluate.py", "ckpt=runs/theirs/last.ckpt", "evaluation.figures=false", "logger.enabled=false"
     )
     assert judged.returncode == 0 and "judged on their test trajectories" in judged.stdout, judged.stderr
-    refused = door(
+    refused = command(
         tmp_path, "evaluate.py", "ckpt=runs/theirs/last.ckpt", f"evaluation.scenes=[{ROOT / 'scenes/two_blocks.yaml'}]"
     )
     assert refused.returncode == 2 and "evaluation.split=test" in refused.stderr
 
 
 def test_a_folder_that_is_no_data_set(tmp_path: Path) -> None:
-    refused = door(tmp_path, "train.py", "data=imported", *SMALL)
+    refused = command(tmp_path, "train.py", "data=imported", *SMALL)
     assert refused.returncode == 2 and "data=datasets/NAME" in refused.stderr and "Traceback" not in refused.stderr
-    refused = door(tmp_path, "train.py", "data=imported", "data.root=nowhere", *SMALL)
+    refused = command(tmp_path, "train.py", "data=imported", "data.root=nowhere", *SMALL)
     assert refused.returncode == 2 and "holds no data set" in refused.stderr
 
 
@@ -108,27 +110,27 @@ def test_weights_of_geoelements_are_judged_and_simulate(tmp_path: Path) -> None:
     metadata = json.loads((tmp_path / "theirs/metadata.json").read_text())
     (tmp_path / "theirs/metadata.json").write_text(json.dumps({**metadata, "dt": 0.02}))
     torch.save(random_weights(3, material=True), tmp_path / "theirs/model-500.pt")
-    made = door(tmp_path, "convert.py", "source=theirs", "target=ours", "trust=true", "material_value=tan")
+    made = command(tmp_path, "convert.py", "source=theirs", "target=ours", "trust=true", "material_value=tan")
     assert made.returncode == 0, made.stderr
-    told = door(tmp_path, "convert.py", "source=theirs/model-500.pt", "inspect=true")
+    told = command(tmp_path, "convert.py", "source=theirs/model-500.pt", "inspect=true")
     assert told.returncode == 0 and "3 message-passing steps" in told.stdout and not (tmp_path / "a.ckpt").exists()
     more = ("weights.data=ours", "weights.edge_update=residual")
-    carried = door(tmp_path, "convert.py", "source=theirs/model-500.pt", "target=a.ckpt", *more)
+    carried = command(tmp_path, "convert.py", "source=theirs/model-500.pt", "target=a.ckpt", *more)
     assert carried.returncode == 0 and "One-step error on ours" in carried.stdout, carried.stderr
     off = ("evaluation.figures=false", "logger.enabled=false")
-    judged = door(tmp_path, "evaluate.py", "ckpt=a.ckpt", "evaluation.split=test", *off)
+    judged = command(tmp_path, "evaluate.py", "ckpt=a.ckpt", "evaluation.split=test", *off)
     assert judged.returncode == 0, judged.stderr
     document = json.loads((tmp_path / "evaluation/metrics.json").read_text())
     assert document["checkpoint"]["data"]["root"] == "ours" and list(document["scenes"]) == ["test_0000"]
     scene = ("scene=column_collapse", "scene.length=0.5", "scene.aspect_ratio=0.8", "duration=0.06", "device=cpu")
-    run = door(tmp_path, "simulate.py", "ckpt=a.ckpt", *scene)
+    run = command(tmp_path, "simulate.py", "ckpt=a.ckpt", *scene)
     assert run.returncode == 0, run.stderr
     name = "column_collapse_aspect_ratio_0.8_length_0.5.h5"
     assert read_trajectory(tmp_path / "runs/simulate" / name).num_frames >= 2
     for each in (carried, judged, run):
         assert "their own program starts from 6 true frames" in each.stdout
         assert "evaluation.start=frames" in each.stdout
-    back = door(tmp_path, "convert.py", "source=a.ckpt", "target=out/model-0.pt")
+    back = command(tmp_path, "convert.py", "source=a.ckpt", "target=out/model-0.pt")
     assert back.returncode == 0, back.stderr
     written = json.loads((tmp_path / "out/metadata.json").read_text())
     for key in ("bounds", "sequence_length", "vel_mean", "vel_std", "acc_mean", "acc_std", "dim"):
@@ -145,17 +147,17 @@ def test_what_is_trained_with_their_features_goes_there(tmp_path: Path) -> None:
     scenes = [with_obstacle(2, seed) for seed in range(3)]
     sets = {split: [scenes[k][0]] for k, split in enumerate(("train", "valid", "test"))}
     fixtures.write_geoelements(tmp_path / "theirs", sets, scenes[0][1])
-    made = door(tmp_path, "convert.py", "source=theirs", "target=ours", "trust=true", "dt=0.02")
+    made = command(tmp_path, "convert.py", "source=theirs", "target=ours", "trust=true", "dt=0.02")
     assert made.returncode == 0, made.stderr
     small = ["model=geoelements", *(each for each in SMALL if each != "model=small")]
-    trained = door(tmp_path, "train.py", "data=ours", *small)
+    trained = command(tmp_path, "train.py", "data=ours", *small)
     assert trained.returncode == 0, trained.stderr
-    gone = door(tmp_path, "convert.py", "source=runs/theirs/last.ckpt", "target=out/model-4.pt")
+    gone = command(tmp_path, "convert.py", "source=runs/theirs/last.ckpt", "target=out/model-4.pt")
     assert gone.returncode == 0, gone.stderr
     written, manifest = json.loads((tmp_path / "out/metadata.json").read_text()), read_manifest(tmp_path / "ours")
     assert written["vel_std"] == [value * 0.02 for value in manifest.statistics["velocity"]["std"]]
     assert written["bounds"] == [[0.0, 1.0]] * 2 and written["sequence_length"] == 10
-    back = door(
+    back = command(
         tmp_path, "convert.py", "source=out/model-4.pt", "target=b.ckpt", "weights.edge_update=residual", "spacing=0.1"
     )
     assert back.returncode == 0, back.stderr

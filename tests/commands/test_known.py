@@ -26,9 +26,9 @@ SHIPPED = [
     *(("train", f"+experiment={name}") for name in options("experiment")),
     *(("train", f"+sweep={name}") for name in options("sweep") if name != "optuna" or OPTUNA),
     *((command, f"data={name}") for command in ("train", "generate") for name in options("data")),
-    *(("train", f"model={name}") for name in options("model")),
+    *(("train", f"{group}={name}") for group in ("model", "training") for name in options(group)),
     *(("evaluate", f"evaluation={name}") for name in options("evaluation")),
-    *((command, "") for command in ("simulate", "benchmark", "convert", "correction")),
+    *((command, "") for command in ("simulate", "benchmark", "convert")),
 ]
 
 

@@ -11,14 +11,14 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import MissingConfigException
 from omegaconf import OmegaConf
 
-from gns_pl.commands.telling import sentence
+from gns_pl.commands.telling import error_message
 from gns_pl.io import write_manifest
 from gns_pl.text import did_you_mean, nearest
 from tests.commands.test_train import ROOT
 from tests.commands.typed import typed
 from tests.data.sets import make_flight, make_scene, write_set
 
-COMMANDS = ("train", "evaluate", "simulate", "generate", "correct", "benchmark", "convert", "fit")
+COMMANDS = ("train", "evaluate", "simulate", "generate", "benchmark", "convert", "fit")
 SCENE = str(ROOT / "scenes/two_blocks.yaml")
 RUN = ("ckpt=collapse", "scene=column_collapse")
 TINY = ("data=quickstart", "data.root=/dev/null/none")  # were a training begun, it would end at once
@@ -59,7 +59,7 @@ MISSPELT = [
         "there is no such option, and no folder of a data set (did you mean cube106?)",
     ),
     ("train", ("+experiment=quikstart",), "experiment=quikstart: there is no such option (did you mean quickstart?)"),
-    ("train", ("model=papr",), "(did you mean paper?); options are geoelements, paper, small."),
+    ("train", ("model=papr",), "(did you mean paper?); options are corrector, geoelements, paper, small."),
     ("evaluate", ("ckpt=collapse", "evaluation.duraton=3"), "(did you mean evaluation.duration?)"),
     ("evaluate", ("evaluation=strss",), "(did you mean stress?); options are columns, stress, sweep, validation."),
     ("evaluate", ("ckpt=colum-fast",), "colum-fast: there is no such checkpoint (did you mean column-fast?); those"),
@@ -92,7 +92,7 @@ MISSPELT = [
     ("generate", (), "which data? data=NAME; there are collapse, "),
     ("generate", ("data=quickstart", "num_worker=2"), "(did you mean num_workers?)"),
     ("benchmark", ("ckpt=[colapse]",), "colapse: there is no such checkpoint (did you mean collapse"),
-    ("correct", ("modl.latent_size=3",), "(did you mean model.latent_size?)"),
+    ("train", ("experiment=corrected_plane", "modl.latent_size=3"), "(did you mean model.latent_size?)"),
     ("convert", ("source=x", "target=y", "+weights.edge_updates=1"), "(did you mean weights.edge_update?)"),
 ]
 
@@ -160,12 +160,14 @@ def test_a_folder_that_cannot_be_generated(capsys: pytest.CaptureFixture[str], f
         folder / "a=b", replace(manifest, spec={"name": "n", "gravity": 9.81, "imported": {"format": "npz"}})
     )
     assert "a=b: its data are imported" in refused(capsys, "generate", "data=a=b")
-    assert "of its own finer runs, and these data are imported" in refused(capsys, "correct", "data=a=b")
+    assert "of its own finer runs, and these data are imported" in refused(
+        capsys, "train", "experiment=corrected_plane", "data=a=b"
+    )
 
 
 def test_unwritable_folders_are_told(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "file").touch()
-    for command, key in (("train", "hydra.run.dir"), ("correct", "hydra.run.dir"), ("simulate", "out")):
+    for command, key in (("train", "hydra.run.dir"), ("simulate", "out")):
         arguments = RUN if command == "simulate" else ("data=quickstart",)
         assert "file" in refused(capsys, command, *arguments, f"{key}=file/x")
 
@@ -192,8 +194,7 @@ def test_help_has_a_purpose_two_examples_and_its_own_groups(capsys: pytest.Captu
         if ("Groups:" in lines)
         else set()
     )
-    name = "correction" if command == "correct" else command
-    defaults = yaml.safe_load((ROOT / f"conf/{name}.yaml").read_text())["defaults"]
+    defaults = yaml.safe_load((ROOT / f"conf/{command}.yaml").read_text())["defaults"]
     own = {key for each in defaults if isinstance(each, dict) for key in each if not key.startswith("override")}
     assert groups == own | ({"experiment", "sweep"} if command == "train" else set())
 
@@ -202,7 +203,7 @@ def test_help_has_a_purpose_two_examples_and_its_own_groups(capsys: pytest.Captu
 def test_the_examples_of_the_help_can_be_composed(command: str) -> None:
     from gns_pl.commands.arguments import prepared
 
-    config = ROOT / "conf" / f"{'correction' if command == 'correct' else command}.yaml"
+    config = ROOT / "conf" / f"{command}.yaml"
     for line in yaml.safe_load(config.read_text())["hydra"]["help"]["footer"].splitlines():
         arguments = [each for each in line.split()[2:] if "," not in each or "[" in each]
         arguments = [each for each in prepared(arguments, config) if not each.startswith(("-", "hydra."))]
@@ -222,5 +223,5 @@ def test_nearest_first() -> None:
 def test_a_plugin_that_is_missing_is_named(plugin: str, extra: str) -> None:
     """Hydra's error as it is where the plugin is not installed, which it may be here."""
     error = MissingConfigException(f"Could not find 'hydra/{plugin}'", f"hydra/{plugin}")
-    told = sentence(error, ["+experiment=quickstart"], ROOT / "conf/train.yaml")
+    told = error_message(error, ["+experiment=quickstart"], ROOT / "conf/train.yaml")
     assert told == f"hydra/{plugin} is not installed: pip install 'gns_pl[{extra}]'."

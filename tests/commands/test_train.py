@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from gns_pl.generation import generate_dataset
 from gns_pl.models.checkpoint import load_checkpoint
+from gns_pl.models.corrector import load_corrector
 from gns_pl.training.summary import read_summary
 from tests.commands.in_process import ROOT, call
 from tests.training.conftest import TINY, assert_same
@@ -89,6 +91,26 @@ def test_train_again_and_sweep(tmp_path: Path) -> None:
     while len(runs := list((tmp_path / "runs/sweep").glob("**/run-*.wandb"))) < 3 and time.monotonic() < deadline:
         time.sleep(0.1)
     assert runs and all(b"runs_sweep" in path.read_bytes() for path in runs)  # in one group
+
+
+def test_a_corrector_is_trained_and_swept_by_the_same_command(tmp_path: Path) -> None:
+    from tests.training import test_correction as correction
+
+    families = {"low": {**correction.DATA["families"]["low"], "count": 2}}
+    generate_dataset({**correction.DATA, "families": families, "root": str(tmp_path / "data")}, device="cpu")
+    arguments = [each for each in correction.TINY if "num_train" not in each and "num_steps" not in each]
+    arguments += ["data=data/every_3", "model.mpm.cell_size=0.125", "training.optimisation.num_steps=2"]
+    sweep = run(tmp_path, "-m", *arguments, "training.position_gain=0.1,0.2", "hydra.sweep.dir=runs/sweep")
+    assert sweep.returncode == 0, sweep.stderr
+    rows = read_rows(tmp_path / "runs/sweep/sweep.csv")
+    assert [row["training.position_gain"] for row in rows] == ["0.1", "0.2"]
+    assert all(row["status"] == "finished" and float(row["position_error"]) > 0 for row in rows)
+    made = sorted((tmp_path / "runs/sweep").glob("*/tiny.corrector"))
+    gains = [load_corrector(path).provenance["config"]["training"]["position_gain"] for path in made]
+    assert gains == [0.1, 0.2] and "simulate.py ckpt=" in sweep.stdout
+
+    judged = call(tmp_path, "evaluate.py", f"ckpt={made[0]}")
+    assert judged.returncode == 2 and "corrects coarse MPM" in judged.stderr
 
 
 @pytest.mark.slow

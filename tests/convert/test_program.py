@@ -15,7 +15,7 @@ from torch import Tensor
 
 from gns_pl.convert.program import METADATA, PARTS, export_program
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features, radius_graph
+from gns_pl.graph import SceneBatch, edge_features, radius_graph
 from gns_pl.models.checkpoint import load_checkpoint
 from gns_pl.models.simulator import Simulator
 from tests.commands.in_process import call
@@ -99,7 +99,7 @@ def clump(simulator: Simulator, number: int, size: float) -> tuple[Tensor, ...]:
 
 def own_step(simulator: Simulator, arguments: tuple[Tensor, ...]) -> Tensor:
     history, _, particle_type, material, volume, *box = arguments
-    static = Static(particle_type, material, volume, *(each[None] for each in box), torch.zeros_like(particle_type))
+    static = SceneBatch(particle_type, material, volume, *(each[None] for each in box), torch.zeros_like(particle_type))
     with torch.no_grad():
         return simulator(history, static)
 

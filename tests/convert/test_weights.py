@@ -18,7 +18,7 @@ from torch.nn.functional import layer_norm
 from gns_pl.convert import weights as carrying
 from gns_pl.convert.weights_export import export_weights
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, radius_graph
+from gns_pl.graph import SceneBatch, radius_graph
 from gns_pl.models.checkpoint import KEY, load_checkpoint, load_simulator, save_checkpoint
 from gns_pl.models.geoelements import FrameSimulator, with_self_loops
 from gns_pl.rollout import rollout
@@ -128,14 +128,14 @@ def their_step(
     return output, position + (position - history[:, -2]) + acceleration
 
 
-def a_state(dim: int, number: int = 40, seed: int = 5) -> tuple[Tensor, Static]:
+def a_state(dim: int, number: int = 40, seed: int = 5) -> tuple[Tensor, SceneBatch]:
     """A crowd of moving particles of several types in a unit box, two of them at walls."""
     generator = torch.Generator().manual_seed(seed)
     start = 0.2 + 0.4 * torch.rand(number, 1, dim, generator=generator)
     start[0], start[1] = 0.02, 0.97
     history = start + (0.003 * torch.randn(number, 6, dim, generator=generator)).cumsum(dim=1)
     gravity = [0.0] * (dim - 1) + [-9.81]
-    static = Static(
+    static = SceneBatch(
         particle_type=torch.where(torch.arange(number) < 4, 5, 6),
         material=torch.rand(number, 1, generator=generator),
         volume=torch.full((number,), 1e-3),
@@ -203,7 +203,7 @@ def test_other_units_and_axes_are_the_same_model(tmp_path: Path, axis: str, scal
     history, static = a_state(3)
     output, position = their_step(weights, metadata, history, static.particle_type, None, doubling=False)
     axes = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[axis]
-    ours = Static(**{**{k: getattr(static, k) for k in ("particle_type", "material", "volume", "gravity", "batch")},
+    ours = SceneBatch(**{**{k: getattr(static, k) for k in ("particle_type", "material", "volume", "gravity", "batch")},
                      "lower": static.lower * scale, "upper": static.upper * scale})  # fmt: skip
     with torch.no_grad():
         turned = history[:, :, axes] * scale
@@ -304,7 +304,7 @@ def test_rollouts_hold_kinematic_particles_and_know_their_limits(tmp_path: Path)
     np.testing.assert_allclose(skinned.position, made.position, atol=1e-6)
     with pytest.raises(InputError, match="edges from a particle to itself"):
         accelerate(simulator, captured=True)
-    assert stabilise(simulator, sleep=0.1, passive=True) is simulator
+    assert stabilise(simulator, sleep=0.1, energy_limiter=True) is simulator
 
 
 def test_data_tell_which_way_is_right(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from gns_pl.convert.weights_export import export_weights
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.io import manifest_sha256, read_manifest, read_trajectory
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.models.geoelements import FrameConfig, FrameSimulator
@@ -152,7 +152,7 @@ def test_their_program_loads_and_steps_alike(
     generator = torch.Generator().manual_seed(2)
     history = torch.from_numpy(truth.position[:6].transpose(1, 0, 2).copy())
     history = history + (1e-3 * torch.randn(history.shape, generator=generator)).cumsum(dim=1)
-    static = Static(
+    static = SceneBatch(
         particle_type=torch.from_numpy(truth.particle_type),
         material=torch.from_numpy(truth.material),
         volume=torch.from_numpy(truth.volume()),

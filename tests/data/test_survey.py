@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from gns_pl.data import survey as surveying
-from gns_pl.data.findings import Survey
 from gns_pl.data.survey import survey_dataset
+from gns_pl.data.survey_record import Survey
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io.schema import LOCATION
@@ -23,8 +23,8 @@ from tests.data.sets import DT, SPACING, make_flight, make_scene, moved, write_s
 FLIGHTS = [make_flight(make_scene(velocity=(0.4 * k, -0.2, 0.5)), 20) for k in range(3)]
 
 
-def survey_of(folder: Path, trajectories: list[Any], **faults: Any) -> Survey:
-    manifest = write_set(folder, trajectories, **faults)
+def survey_of(folder: Path, trajectories: list[Any], **data_errors: Any) -> Survey:
+    manifest = write_set(folder, trajectories, **data_errors)
     return survey_dataset(folder, manifest, manifest.splits["train"], radius=0.11)
 
 
@@ -41,7 +41,7 @@ def test_free_fall(tmp_path: Path) -> None:
     assert density.neighbours[0] == pytest.approx(((squares > 0) & (squares <= 4)).sum() / 216, rel=1e-6)
     assert density.neighbours[4] == 32
     assert density.by_spacing["1.5"] == pytest.approx(((squares > 0) & (squares <= 2)).sum() / 216, rel=1e-6)
-    assert found.faults == replace(found.faults, not_finite=(), outside=0.0, other_dt=())
+    assert found.data_errors == replace(found.data_errors, not_finite=(), outside=0.0, other_dt=())
 
 
 def test_sizes_and_steps(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_wrong_units_show_in_gravity_and_spacing(tmp_path: Path, scale: float, d
     found = survey_of(tmp_path, FLIGHTS, scale=scale, dt_factor=dt_factor)
     assert found.motion.gravity == pytest.approx(9.81 * ratio, rel=5e-3)
     assert found.density.measured == pytest.approx(SPACING * scale, rel=0.03)
-    assert (found.faults.outside > 0.5) == (scale == 80.0)
+    assert (found.data_errors.outside > 0.5) == (scale == 80.0)
 
 
 def test_half_of_the_particles_move_half_of_the_time(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_numbers_that_are_not_finite_are_named_and_left_out(tmp_path: Path) -> N
     with h5py.File(tmp_path / "trajectory_0001.h5", "r+") as file:
         file[LOCATION["position"]][12:] = np.nan
     found = survey_dataset(tmp_path, manifest, manifest.splits["train"], radius=0.11)
-    assert found.faults.not_finite == ("trajectory_0001.h5",)
+    assert found.data_errors.not_finite == ("trajectory_0001.h5",)
     assert found.motion.gravity == pytest.approx(9.81, rel=2e-3)
     with pytest.raises(InputError, match=r"not finite: trajectory_0001\.h5"):
         survey_dataset(tmp_path, manifest, ["trajectory_0001.h5"], radius=0.11)

@@ -137,7 +137,7 @@ def test_what_is_made(checkpoint, tmp_path, references, capsys) -> None:
 
 def test_films_and_series_in_three_dimensions(checkpoint, tmp_path) -> None:
     pyvista = pytest.importorskip("pyvista")
-    from gns_pl.viz.studio import draws_without_screen
+    from gns_pl.viz.vtk_renderer import draws_without_screen
 
     if not draws_without_screen():
         pytest.skip("VTK finds no OpenGL to draw without a screen")
@@ -209,7 +209,7 @@ def test_numbers_of_the_reference_are_of_all_its_points_and_the_rollout_has_ever
 def test_the_headline_is_the_mean_over_placements(checkpoint, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
         "gns_pl.rollout.failure.first_failure", lambda run: None
-    )  # untrained, it does what no sand does
+    )  # untrained, it reaches unphysical states
     mpm = {"cell_size": 0.1, "points_per_direction": 2, "jitter": 0.5}
     save_checkpoint(checkpoint, Checkpoint(make_simulator(dt=0.02), DATA | {"mpm": mpm}, {"steps": 0}))
     document = run(checkpoint, tmp_path, only="short", placements=3, seed=5)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from gns_pl.errors import told_plainly
+from gns_pl.errors import report_input_errors
 from gns_pl.generation import generate_dataset
 from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene, fill_scene
@@ -120,5 +120,5 @@ if __name__ in {"__main__", "__mp_main__"}:
 if __name__ == "__main__":
     if len(sys.argv) > 4:
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[4]),) * 2)
-    with told_plainly("fake.py"):
+    with report_input_errors("fake.py"):
         generate_dataset(make_spec(), root=Path(sys.argv[1]), num_workers=int(sys.argv[2]))

@@ -112,7 +112,7 @@ def test_another_specification_is_refused(root: Path, changes: dict[str, Any], s
 
 
 def test_another_version_of_the_solver_may_not_go_on(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gns_pl.generation.records.solver_version", lambda: "9.9")
+    monkeypatch.setattr("gns_pl.generation.records.solver_version", lambda mpm: "9.9")
     assert generate_dataset(make_spec(), root=root) == root  # but a finished set is one
     (root / "manifest.json").unlink()
     with pytest.raises(InputError, match="begun with another version of the solver"):

@@ -19,7 +19,7 @@ def test_in_this_process() -> None:
     assert results[0] == 2
     assert results[1] == Failure("cannot be used.")
     assert isinstance(results[2], Failure)
-    assert results[2].sentence == "ZeroDivisionError: by zero"
+    assert results[2].message == "ZeroDivisionError: by zero"
     assert "Traceback" in results[2].details
     assert results[3] == Failure("the disk is full.", final=True)
     assert results[4] == Failure("out of memory")

@@ -53,7 +53,7 @@ def test_whatever_matters_is_run_again(
 ) -> None:
     get(drop, tmp_path)
     if not changes:
-        monkeypatch.setattr(solver, "solver_version", lambda: "another")
+        monkeypatch.setattr(solver, "solver_version", lambda mpm: "another")
     scene = drop.replace(duration=0.3) if changes.pop("scene", None) else drop
     get(scene, tmp_path, **changes)
     assert len(runs) == 2

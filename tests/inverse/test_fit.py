@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.inverse import Bounds, descend, solve, stroll
+from gns_pl.inverse import Bounds, adam, lbfgs, solve
 
 BOUNDS = Bounds((0.0, -2.0), (1.0, 2.0))
 
@@ -22,7 +22,7 @@ def misfit(unknowns: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def test_both_find_it() -> None:
-    down = descend(misfit, (0.9, 1.5), BOUNDS, tolerance=1e-12, most=100)
+    down = lbfgs(misfit, (0.9, 1.5), BOUNDS, tolerance=1e-12, most=100)
     solved = solve(residual, (0.9, 1.5), BOUNDS, difference=0.01, tolerance=1e-8, most=50)
     for fit in (down, solved):
         np.testing.assert_allclose(fit.unknowns, [0.3, -1.0], atol=1e-4)
@@ -32,15 +32,15 @@ def test_both_find_it() -> None:
 
 def test_what_lies_outside_is_found_at_the_bound() -> None:
     narrow = Bounds((0.5, -2.0), (1.0, 2.0))
-    down = descend(misfit, (0.9, 1.5), narrow, tolerance=1e-12, most=100)
+    down = lbfgs(misfit, (0.9, 1.5), narrow, tolerance=1e-12, most=100)
     solved = solve(residual, (0.9, 1.5), narrow, difference=0.01, tolerance=1e-8, most=50)
     for fit in (down, solved):
         assert fit.unknowns[0] == pytest.approx(0.5, abs=1e-3)
         assert (fit.path[:, 0] >= 0.5).all() and (fit.path[:, 0] <= 1.0).all()
 
 
-def test_a_stroll_ends_near_it() -> None:
-    fit = stroll(misfit, (0.9, 1.5), BOUNDS, most=60, pace=0.1)
+def test_adam_ends_near_it() -> None:
+    fit = adam(misfit, (0.9, 1.5), BOUNDS, most=60, pace=0.1)
     np.testing.assert_allclose(fit.unknowns, [0.3, -1.0], atol=0.02)
     assert fit.evaluations == 60
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Problem, descend
+from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Problem, lbfgs
 from gns_pl.rollout import rollout
 from gns_pl.scene import Scene, Wall, column_collapse
 from gns_pl.scene.definition import FACES
@@ -65,7 +65,7 @@ def test_it_rolls_out_as_everybody_does(start: Trajectory) -> None:
 def test_it_goes_down_to_what_was_hidden(start: Trajectory) -> None:
     """A network that has learned nothing holds no velocity, so that the misfit says more than the unknowns do."""
     way = ByGradient(problem_of(start, (0.7, 0.6)))
-    fit = descend(way, (0.68, -0.5), BOUNDS, tolerance=1e-12, most=60)
+    fit = lbfgs(way, (0.68, -0.5), BOUNDS, tolerance=1e-12, most=60)
     assert fit.misfit < 0.02 * fit.path[0, -1] and fit.evaluations == way.num_rollouts == len(fit.path)
     assert fit.unknowns[1] == pytest.approx(0.6, abs=0.15)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.models.checkpoint import KEY, Checkpoint, load_checkpoint, load_simulator, save_checkpoint
 from tests.conftest import make_simulator, make_static
 
@@ -76,7 +76,7 @@ def test_golden_checkpoints_load_for_ever(path: Path) -> None:
     """One tiny checkpoint per format version, with the output its simulator had when it was written."""
     expected = torch.load(path.with_suffix(".pt"), weights_only=True)
     simulator = load_simulator(path)
-    output = simulator(expected["history"], Static(**expected["static"]))
+    output = simulator(expected["history"], SceneBatch(**expected["static"]))
     torch.testing.assert_close(output, expected["output"], atol=1e-5, rtol=1e-5)
 
 

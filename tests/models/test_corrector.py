@@ -9,6 +9,7 @@ import torch
 
 from gns_pl.errors import InputError
 from gns_pl.models.corrector import Corrector, CorrectorConfig, CorrectorFile, load_corrector, save_corrector
+from gns_pl.models.shipped import find_corrector
 from tests.conftest import make_static
 
 CONFIG = CorrectorConfig(
@@ -20,7 +21,7 @@ CONFIG = CorrectorConfig(
     latent_size=8,
     num_mlp_layers=1,
     num_message_passing_steps=1,
-    slow=0.1,
+    velocity_threshold=0.1,
 )
 
 
@@ -48,6 +49,18 @@ def test_a_file_brings_it_back(tmp_path: Path) -> None:
     assert back.corrector.config == CONFIG and back.data == {"name": "x"} and back.provenance == {"steps": 3}
 
 
+def test_a_file_of_before_is_read_by_the_names_of_then(tmp_path: Path) -> None:
+    """`velocity_threshold` was `slow` before, as in the one that comes with the package."""
+    save_corrector(tmp_path / "a.corrector", CorrectorFile(make(), {}, {}))
+    content = torch.load(tmp_path / "a.corrector", weights_only=True)
+    content["gns_pl_corrector"]["config"]["slow"] = content["gns_pl_corrector"]["config"].pop("velocity_threshold")
+    torch.save(content, tmp_path / "b.corrector")
+    assert load_corrector(tmp_path / "b.corrector").corrector.config == CONFIG
+    shipped = find_corrector("corrected_plane")
+    assert torch.load(shipped, weights_only=True)["gns_pl_corrector"]["config"]["slow"] == 0.2
+    assert load_corrector(shipped).corrector.config.velocity_threshold == 0.2
+
+
 def test_what_is_no_corrector_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such corrector"):
         load_corrector(tmp_path / "a.corrector")
@@ -57,7 +70,7 @@ def test_what_is_no_corrector_is_refused(tmp_path: Path) -> None:
     torch.save({"other": 1}, tmp_path / "a.corrector")
     with pytest.raises(InputError, match="is not a corrector"):
         load_corrector(tmp_path / "a.corrector")
-    with pytest.raises(InputError, match=r"correction\.interval must be positive"):
+    with pytest.raises(InputError, match=r"model\.interval must be positive"):
         CorrectorConfig(**{**vars(CONFIG), "interval": 0})
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,14 +10,14 @@ import pytest
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.models.registry import MODELS, build_simulator, kind_of, register_model
 from gns_pl.models.simulator import Simulator
 from gns_pl.nn import NETWORKS, register_network
 from tests.conftest import make_config, make_static
+from tests.extend.page import blocks
 
-PAGE = Path(__file__).parents[2] / "docs" / "extend.md"
 FRAMES = {"input_sequence_length": 6, "num_types": 9, "type_size": 4, "boundary_clip": 1.0, "edge_update": "residual"}
 NUMBER = 40
 
@@ -36,8 +35,7 @@ def build(kind: str, **changes: object) -> Simulator:
 @pytest.fixture
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder that holds the network and the model of the page that says how to add one."""
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    (tmp_path / "own_models.py").write_text("\n".join(blocks))
+    (tmp_path / "own_models.py").write_text("\n".join([*blocks("A network"), *blocks("A model")]))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -112,7 +110,7 @@ class TestEveryModel:
         assert torch.equal(again(history, make_static(NUMBER)), simulator(history, make_static(NUMBER)))
 
 
-def _double(static: Static) -> Static:
+def _double(static: SceneBatch) -> SceneBatch:
     floats = {each.name: getattr(static, each.name) for each in dataclasses.fields(static)}
     changed = {name: v.double() for name, v in floats.items() if isinstance(v, torch.Tensor) and v.is_floating_point()}
     return dataclasses.replace(static, **changed)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.models.config import OUTPUTS, SimulatorConfig
 from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import rollout, static_of
@@ -26,7 +26,7 @@ class Cheat(Simulator):
         self.truth = torch.from_numpy(truth.position)
         self.frame = 0
 
-    def normalised_acceleration(self, history: torch.Tensor, static: Static, **_: object) -> torch.Tensor:
+    def normalised_acceleration(self, history: torch.Tensor, static: SceneBatch, **_: object) -> torch.Tensor:
         self.frame += 1
         true_history = history.clone()
         for back in range(history.shape[1]):

@@ -20,6 +20,7 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.mpm import MPMConfig, SimulationError, has_cuda, simulate, simulate_batch
 from gns_pl.mpm.grid import make_advance
+from gns_pl.mpm.laws import LAWS
 from gns_pl.mpm.plan import Plan, make_plan, make_setting, make_state
 from gns_pl.scene import Body, Box, Plane, Scene, Wall, fill_scene
 from tests.mpm.conftest import make_box, make_mpm, make_sand
@@ -144,6 +145,26 @@ def test_a_trajectory_is_the_one_of_the_cpu() -> None:
         "gpu": there.provenance["gpu"],
     }
     assert there.provenance["device"] == "cuda"
+
+
+def weak(pressure, root_j2, shear_rate, dt, shear, bulk, friction_slope, cohesion_intercept, dilation_slope, tension):  # type: ignore[no-untyped-def]
+    """A law of one's own: half the friction, and more where it flows fast."""
+    if pressure <= 0.0:
+        return pressure, 0.0
+    slope = 0.5 * friction_slope * (1.0 + 0.01 * shear_rate)
+    return pressure, min(1.0, slope * pressure / max(root_j2, 1e-9))
+
+
+@on_gpu
+def test_a_law_of_ones_own_gives_what_it_gives_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(LAWS, "weak", weak)
+    config = make_config(law="weak")
+    there, here, other = (
+        simulate(make_scene(2), settings, frame_interval=INTERVAL, seed=3, device=device).position
+        for settings, device in ((config, "cuda"), (config, "cpu"), (make_config(), "cpu"))
+    )
+    assert np.abs(there - here).max() < 1e-6
+    assert np.abs(there - other).max() > 1e-6
 
 
 @on_gpu

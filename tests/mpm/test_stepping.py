@@ -45,15 +45,15 @@ def test_frame_by_frame_is_the_same_run(dim: int) -> None:
 def test_a_push_moves_and_too_strong_a_push_is_told() -> None:
     scene = column(2)
     runs = [SteppedRun(scene, CONFIG, fill_scene(scene, CONFIG.spacing), 0.02) for _ in range(2)]
-    push = np.zeros_like(runs[0].velocity)
-    push[:, 0] = 0.1
-    runs[0].push(push)
-    np.testing.assert_allclose(runs[0].velocity - runs[1].velocity, push)
+    change = np.zeros_like(runs[0].velocity)
+    change[:, 0] = 0.1
+    runs[0].add_velocity(change)
+    np.testing.assert_allclose(runs[0].velocity - runs[1].velocity, change)
     for run in runs:
         run.advance()
     moved = (runs[0].position - runs[1].position)[:, 0].mean()
     assert 0.5 * 0.1 * 0.02 < moved < 1.2 * 0.1 * 0.02
-    runs[0].push(1e3 * push)
+    runs[0].add_velocity(1e3 * change)
     with pytest.raises(SimulationError, match="pushed"):
         runs[0].advance()
 

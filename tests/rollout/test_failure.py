@@ -1,4 +1,4 @@
-"""When a run has failed: what falls freely, slides and rests has not; what no sand does has, at the right frame."""
+"""When a run has failed: what falls freely, slides and rests has not; an unphysical state has, at the right frame."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_each_condition_is_met_by_what_it_is_for(column: Scene, spoil, kind) -> 
         assert failure is not None and failure.kind == "clumping"
         return
     assert failure is not None and failure.kind == kind
-    assert failure.time == pytest.approx(3 * DT) and "0.03 s" in failure.sentence
+    assert failure.time == pytest.approx(3 * DT) and "0.03 s" in failure.message
     assert watch.look(rest) is failure  # the first one stays
 
 
@@ -124,7 +124,7 @@ def test_a_rollout_ends_at_its_failure_and_says_so(column: Scene) -> None:
     assert wanted is not None
     made = rollout(simulator, start, 40, watch=Watch(start, simulator.config.dt))
     assert made.num_frames == round(wanted.time / DT) + 1
-    assert made.provenance["failure"] == wanted.sentence and made.provenance["failed_at"] == wanted.time
+    assert made.provenance["failure"] == wanted.message and made.provenance["failed_at"] == wanted.time
 
 
 def test_frames_that_are_not_needed_may_be_passed_over(column: Scene) -> None:

@@ -10,7 +10,7 @@ from gns_pl.errors import InputError
 from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import Run, rollout, unroll
 from gns_pl.rollout.engine import history_of, static_of
-from gns_pl.rollout.rest import STEPS, Rest, SleepingStepper
+from gns_pl.rollout.rest import REST_STEPS, Rest, SleepingStepper
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.trajectory import Trajectory
@@ -29,14 +29,14 @@ def test_nobody_sleeps_at_once_and_while_all_move_the_steps_are_the_same(column:
     simulator, start = make_simulator(output="gated", context=True), make_start(column)
     plain = rollout(simulator, start, 8).position
     sleeping = SleepingStepper(simulator, speed=1e-9)
-    assert sleeping.history_length == STEPS + 1
+    assert sleeping.history_length == REST_STEPS + 1
     np.testing.assert_array_equal(rollout(sleeping, start, 8).position, plain)
     assert bool(sleeping.awake.all())
 
 
 def long_still(start: Trajectory) -> torch.Tensor:
     """Positions of particles that have not moved for as long as a sleeping step looks back [N, H, D]."""
-    return torch.from_numpy(start.position[0])[:, None].repeat(1, STEPS + 1, 1)
+    return torch.from_numpy(start.position[0])[:, None].repeat(1, REST_STEPS + 1, 1)
 
 
 @torch.inference_mode()
@@ -77,18 +77,18 @@ def test_sleepers_stay_where_they_are_and_wake_by_contact() -> None:
 
 def test_a_scene_at_rest_is_recognised_after_some_steps() -> None:
     rest, place = Rest(speed=0.01), torch.zeros(10, 3)
-    assert [rest.reached(0, place, place, 0.1) for _ in range(STEPS)] == [False] * (STEPS - 1) + [True]
+    assert [rest.reached(0, place, place, 0.1) for _ in range(REST_STEPS)] == [False] * (REST_STEPS - 1) + [True]
     moved = place.clone()
     moved[0] = 0.1
-    assert not any(rest.reached(1, place, moved, 0.1) for _ in range(2 * STEPS)) and rest.rested == {0}
+    assert not any(rest.reached(1, place, moved, 0.1) for _ in range(2 * REST_STEPS)) and rest.rested == {0}
     mostly = Rest(speed=0.01, share=0.9)
-    assert [mostly.reached(1, place, moved, 0.1) for _ in range(STEPS)][-1]
+    assert [mostly.reached(1, place, moved, 0.1) for _ in range(REST_STEPS)][-1]
     with pytest.raises(InputError, match="must be positive"):
         Rest(speed=0)
 
 
 def test_a_run_ends_where_its_scene_rests(drop: Scene, column: Scene) -> None:
-    """A step that moves the first scene for three steps: it rests `STEPS` later, the other goes on."""
+    """A step that moves the first scene for three steps: it rests `REST_STEPS` later, the other goes on."""
     simulator = make_simulator()
     starts = [make_start(drop), make_start(column)]
     number, count = starts[0].num_particles, 0
@@ -103,7 +103,7 @@ def test_a_run_ends_where_its_scene_rests(drop: Scene, column: Scene) -> None:
 
     stepper = CallStepper(simulator, step)
     made = list(unroll(stepper, [Run(start, 12) for start in starts], rest=Rest(speed=0.01)))
-    assert [0 in parts for parts in made] == [True] * (3 + STEPS) + [False] * (9 - STEPS)
+    assert [0 in parts for parts in made] == [True] * (3 + REST_STEPS) + [False] * (9 - REST_STEPS)
     assert all(1 in parts for parts in made)
 
 
@@ -120,7 +120,7 @@ def test_a_run_that_goes_on_sleeps_as_the_one_that_never_stopped(column: Scene) 
     whole = rollout(stable, start, 20).position
     asleep = (np.diff(whole[9:], axis=0) == 0).all(axis=2)
     assert asleep.any() and not asleep.all()
-    past = whole[: 9 + 1][-STEPS - 1 :]
+    past = whole[: 9 + 1][-REST_STEPS - 1 :]
     with torch.inference_mode():
         late = [parts[0].numpy() for parts in unroll(stable, [Run(start, 11, past, 9)])]
     np.testing.assert_array_equal(np.stack(late), whole[10:])
@@ -128,9 +128,9 @@ def test_a_run_that_goes_on_sleeps_as_the_one_that_never_stopped(column: Scene) 
 
 def test_unknown_positions_before_the_start_are_motion(column: Scene) -> None:
     simulator, start = make_simulator(), make_start(column)
-    history = history_of(Run(start, 1), simulator.config, STEPS + 1)
-    assert history.shape[1] == STEPS + 1
-    assert bool(history[:, : STEPS + 1 - simulator.config.input_sequence_length].isnan().all())
+    history = history_of(Run(start, 1), simulator.config, REST_STEPS + 1)
+    assert history.shape[1] == REST_STEPS + 1
+    assert bool(history[:, : REST_STEPS + 1 - simulator.config.input_sequence_length].isnan().all())
     step = SleepingStepper(simulator, speed=1e6)
     with torch.inference_mode():
         step(history, static_of(start))

@@ -35,7 +35,7 @@ def test_nothing_asked_for_is_the_simulator_itself() -> None:
 def test_free_fall_is_left_alone(drop: Scene) -> None:
     simulator, start = make_simulator(), make_start(drop, spacing=0.15)  # no neighbours within the radius
     plain = rollout(simulator, start, 12).position
-    stable = stabilise(simulator, passive=True, least_distance=0.2)
+    stable = stabilise(simulator, energy_limiter=True, min_distance=0.2)
     np.testing.assert_array_equal(rollout(stable, start, 12).position, plain)
 
 
@@ -49,7 +49,7 @@ def test_energy_never_rises(drop: Scene, thrown: tuple[float, float, float]) -> 
     for frame in made.position[1:]:
         watch.look(frame)
     assert watch.rise > 0.01  # it is wild
-    watch, made = Watch(start, 0.01), rollout(stabilise(wild(), passive=True), start, 30)
+    watch, made = Watch(start, 0.01), rollout(stabilise(wild(), energy_limiter=True), start, 30)
     for frame in made.position[1:]:
         assert watch.look(frame) is None or watch.failure.kind != "energy"
     assert watch.rise < 1e-4
@@ -57,12 +57,12 @@ def test_energy_never_rises(drop: Scene, thrown: tuple[float, float, float]) -> 
 
 def test_scenes_of_a_batch_are_scaled_each_on_its_own(column: Scene, drop: Scene) -> None:
     simulator, starts = wild(), [make_start(column), make_start(drop)]
-    stable = stabilise(simulator, passive=True)
+    stable = stabilise(simulator, energy_limiter=True)
     with torch.inference_mode():
         history = torch.cat([history_of(Run(start, 1), simulator.config) for start in starts])
         together = stable(history, static_of(*starts))
         alone = [
-            stabilise(simulator, passive=True)(history_of(Run(start, 1), simulator.config), static_of(start))
+            stabilise(simulator, energy_limiter=True)(history_of(Run(start, 1), simulator.config), static_of(start))
             for start in starts
         ]
     torch.testing.assert_close(together, torch.cat(alone), atol=1e-6, rtol=0)
@@ -75,7 +75,7 @@ def test_particles_are_moved_apart_and_stay_in_the_box(column: Scene) -> None:
     close[3] = close[2]  # in one place
     history = torch.from_numpy(np.repeat(close[:, None], 4, axis=1))
     static = static_of(start)
-    stable = stabilise(simulator, least_distance=0.3)
+    stable = stabilise(simulator, min_distance=0.3)
     with torch.inference_mode():
         before, after = simulator(history, static).numpy(), stable(history, static).numpy()
     least = 0.3 * simulator.config.spacing
@@ -94,7 +94,7 @@ def test_what_sleeps_does_not_creep(column: Scene) -> None:
     assert np.abs(made[4] - made[0]).max() > 0
 
 
-@pytest.mark.parametrize("settings", [{"sleep": -1.0}, {"least_distance": 1.0}])
+@pytest.mark.parametrize("settings", [{"sleep": -1.0}, {"min_distance": 1.0}])
 def test_limits_that_make_no_sense_are_refused(settings: dict[str, float]) -> None:
     with pytest.raises(InputError, match=r"stabilise\."):
         stabilise(make_simulator(), **settings)
@@ -124,6 +124,6 @@ def test_obstacles_that_move_do_work(column: Scene, moves: bool) -> None:
         velocity[:8, 0] = 1.0
     start = replace(start, position=script, particle_type=types, initial_velocity=velocity)
     plain = rollout(simulator, start, 5).position
-    stable = rollout(stabilise(simulator, passive=True), start, 5).position
+    stable = rollout(stabilise(simulator, energy_limiter=True), start, 5).position
     np.testing.assert_array_equal(stable[:, :8], script[:, :8])
     assert np.array_equal(stable, plain) is moves

@@ -17,7 +17,7 @@ from tests.solvers.simulated import simulate_learned
 from tests.solvers.test_selection import ROUGH, column
 
 CONF = str(Path(__file__).parents[2] / "conf")
-STABLE = {"sleep": 0.1, "least_distance": 0.2, "passive": True}
+STABLE = {"sleep": 0.1, "min_distance": 0.2, "energy_limiter": True}
 
 
 def run(folder: Path, name: str, scene: Scene, *more: str, key: str = "ckpt") -> Path:

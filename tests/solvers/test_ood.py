@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from gns_pl.evaluation.scenes import build_scenes
-from gns_pl.graph import Seen, surroundings
-from gns_pl.graph.seen import LEAST_SPREAD, QUANTILE, RIDGE
+from gns_pl.graph import TrainingDistribution, surroundings
+from gns_pl.graph.training_distribution import LEAST_SPREAD, QUANTILE, RIDGE
 from gns_pl.models.checkpoint import KEY, Checkpoint, load_checkpoint, save_checkpoint
 from gns_pl.rollout import rollout, static_of
 from gns_pl.rollout.engine import Run, history_of
@@ -33,7 +33,7 @@ def sampled(number: int = 4000) -> torch.Tensor:
 
 def test_summary_equals_a_plain_oracle() -> None:
     features = sampled()
-    seen, values = Seen.of(features, list("abcd")), features.numpy().astype(np.float64)
+    seen, values = TrainingDistribution.of(features, list("abcd")), features.numpy().astype(np.float64)
     np.testing.assert_allclose(seen.low, np.quantile(values, QUANTILE, axis=0), atol=1e-5)
     np.testing.assert_allclose(seen.high, np.quantile(values, 1 - QUANTILE, axis=0), atol=1e-5)
     spread = np.maximum(values.std(axis=0), LEAST_SPREAD)
@@ -46,7 +46,7 @@ def test_summary_equals_a_plain_oracle() -> None:
 
 def test_what_was_seen_is_near_and_what_was_not_is_far() -> None:
     features = sampled()
-    seen = Seen.of(features[:3000], list("abcd"))
+    seen = TrainingDistribution.of(features[:3000], list("abcd"))
     fresh = features[3000:]
     assert float((seen.distance(fresh) > 1).float().mean()) == pytest.approx(0.01, abs=0.01)
     assert float(seen.outside(fresh)[:, :3].float().mean()) < 0.006
@@ -80,7 +80,7 @@ def known(drop: Scene) -> tuple[Checkpoint, Trajectory]:
     """A checkpoint that saw two of three motions of one kind, and the third."""
     names = make_simulator().state_names()
     motions = [make_moving(drop, frames=12, seed=seed) for seed in range(3)]
-    seen = Seen.of(torch.cat([states_of(each, range(12)) for each in motions[:2]]), names)
+    seen = TrainingDistribution.of(torch.cat([states_of(each, range(12)) for each in motions[:2]]), names)
     return Checkpoint(make_simulator(), {}, {}, seen), motions[2]
 
 
@@ -123,7 +123,7 @@ def test_a_round_trip_keeps_it_and_an_old_checkpoint_has_none(
     content = torch.load(path, weights_only=True)
     del content[KEY]["seen"]
     torch.save(content, path)
-    assert load_checkpoint(path).seen is None and compute_ood(load_checkpoint(path), motion) is None
+    assert load_checkpoint(path).distribution is None and compute_ood(load_checkpoint(path), motion) is None
 
 
 def test_states_have_as_many_names_as_columns(drop: Scene, column: Scene) -> None:

@@ -18,7 +18,7 @@ from gns_pl.io.lock import locked
 from gns_pl.io.stream import find_frames
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.rollout import rollout
-from gns_pl.rollout.rest import STEPS
+from gns_pl.rollout.rest import REST_STEPS
 from gns_pl.scene import Scene, write_scene
 from gns_pl.solvers.learned import LearnedSolver
 from tests.commands.in_process import ROOT, call
@@ -74,7 +74,7 @@ def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     process.wait()
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "after" in said or "already complete" in said
-    stable = {"sleep": 0.1, "least_distance": 0.2, "passive": True}  # conf/rollout/stable.yaml
+    stable = {"sleep": 0.1, "min_distance": 0.2, "energy_limiter": True}  # conf/rollout/stable.yaml
     simulate_learned(ckpt, [drop], out=tmp_path / "whole", duration=0.6, monitor=False, stabilise=stable)
     whole, parts = (read_trajectory(tmp_path / name / "cube_drop.h5") for name in ("whole", "out"))
     np.testing.assert_allclose(parts.position, whole.position, atol=1e-6)
@@ -175,7 +175,7 @@ def test_a_scene_at_rest_ends_and_says_so(
     settings = {"out": tmp_path, "rest_speed": 1e3}  # every speed is below it
     first, second = simulate_learned(ckpt, [drop, column.replace(duration=0.03)], **settings)
     made, short = read_trajectory(first), read_trajectory(second)
-    assert made.num_frames == STEPS + 1 and made.provenance["at_rest_from"] == pytest.approx(STEPS * 0.01)
+    assert made.num_frames == REST_STEPS + 1 and made.provenance["at_rest_from"] == pytest.approx(REST_STEPS * 0.01)
     assert short.num_frames == 4 and "at_rest_from" not in short.provenance
     printed = capsys.readouterr().out
     assert "6 frames in " in printed and "s, at rest from 0.05 s" in printed

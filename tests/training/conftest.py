@@ -57,8 +57,8 @@ def data_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _few_windows_seen(request: pytest.FixtureRequest) -> Iterator[None]:
     """What a network saw takes half the time of such trainings: fewer windows are looked at where it is not tested."""
     with pytest.MonkeyPatch.context() as patch:
-        if request.module.__name__ != "tests.training.test_seen":
-            patch.setattr("gns_pl.training.seen.WINDOWS", 20)
+        if request.module.__name__ != "tests.training.test_distribution":
+            patch.setattr("gns_pl.training.distribution.WINDOWS", 20)
         yield
 
 
@@ -67,13 +67,13 @@ def whole_run(data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     """The folder of a training of TINY that nothing has interrupted; nobody writes into it."""
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gns_pl.training.seen.WINDOWS", 20)
+        patch.setattr("gns_pl.training.distribution.WINDOWS", 20)
         train(make_config(data_root, folder), folder, None)
     return folder
 
 
 def make_config(data_root: Path, output: Path, *overrides: str) -> DictConfig:
-    """Compose conf/train.yaml as the door does, for a run in `output`, without W&B."""
+    """Compose conf/train.yaml as the command does, for a run in `output`, without W&B."""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base=None):
         cfg = compose("train", [*TINY, f"data.root={data_root}", *without_wandb(overrides), *overrides])

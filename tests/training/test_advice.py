@@ -19,10 +19,10 @@ from omegaconf import OmegaConf
 from gns_pl.data.survey import survey_dataset
 from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, draw_plan, missing_bytes
-from gns_pl.graph import Draws
+from gns_pl.graph import WindowRandom
 from gns_pl.training.advice import advise
-from gns_pl.training.advice.faults import Suggestion
-from gns_pl.training.advice.numbers import Advice, compute_advice, target_noise
+from gns_pl.training.advice.data_errors import Suggestion
+from gns_pl.training.advice.derived import Advice, compute_advice, target_noise
 from gns_pl.training.advice.report import suggestion_lines
 from gns_pl.training.advice.suggestions import suggest
 from gns_pl.training.config import TrainingConfig
@@ -69,8 +69,10 @@ def collapses() -> list[Any]:
     return made
 
 
-def advice_on(folder: Path, trajectories: list[Any], faults: dict[str, Any] | None = None, **settings: Any) -> Advice:
-    manifest = write_set(folder, trajectories, **(faults or {}))
+def advice_on(
+    folder: Path, trajectories: list[Any], data_errors: dict[str, Any] | None = None, **settings: Any
+) -> Advice:
+    manifest = write_set(folder, trajectories, **(data_errors or {}))
     model = make_model(connectivity_radius=settings.pop("radius", 0.11), context=settings.pop("context", True))
     survey = survey_dataset(folder, manifest, manifest.splits["train"], radius=model.connectivity_radius)
     memory, gravity = settings.pop("memory", 8e9), settings.pop("gravity", 9.81)
@@ -99,7 +101,9 @@ def test_noise_of_the_target_is_that_of_the_perturbation(restore: float, strain:
     generator = torch.Generator().manual_seed(0)
     history = torch.rand((graphs * particles, length, dim), generator=generator)
     target = torch.zeros(len(history), dim)
-    moved_history, moved_target = perturbation(history, target, static, Draws(0, torch.arange(graphs), static.batch))
+    moved_history, moved_target = perturbation(
+        history, target, static, WindowRandom(0, torch.arange(graphs), static.batch)
+    )
     change = moved_history - history
     second = (moved_target - target) - 2 * change[:, -1] + change[:, -2]
     expected = sum(target_noise(perturbation, length))
@@ -167,7 +171,7 @@ def test_cold_starts_are_missed_and_the_family_suggested_can_be_drawn(tmp_path: 
     scenes = [make_scene(velocity=(0.1 * k, 0.0, 0.0)) for k in range(4)]
     slowing = [moved(s, lambda t, s=s: np.array(s.bodies[0].velocity) * min(t, 0.15), 21) for s in scenes]
     found = [s for s in suggest(advice_on(tmp_path, slowing)) if "block_release" in (s.change or "")]
-    assert len(found) == 1 and "none of 3 trajectories" in found[0].sentence
+    assert len(found) == 1 and "none of 3 trajectories" in found[0].message
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base=None):
         cfg = compose("train", ["data=cube106", str(found[0].change)])
@@ -207,16 +211,16 @@ def test_a_set_that_rests_too_long_or_never(tmp_path: Path) -> None:
     for name, until, sentence in (("long", 0.05, "shorten"), ("short", 1.0, "lengthen")):
         made = [moved(s, lambda t, u=until: np.array([0.6 * min(t, u), 0.0, 0.0]), 21) for s in (scene, tall, scene)]
         found = suggest(advice_on(tmp_path / name, made))
-        assert [sentence in suggestion.sentence for suggestion in found].count(True) == 1
+        assert [sentence in suggestion.message for suggestion in found].count(True) == 1
 
 
 def test_one_aspect_ratio_and_no_validation(tmp_path: Path) -> None:
     found = suggest(advice_on(tmp_path, collapses()[::3], {"valid": 0}))
-    assert ["aspect ratio" in found[0].sentence, "no validation" in found[1].sentence, len(found)] == [True, True, 2]
+    assert ["aspect ratio" in found[0].message, "no validation" in found[1].message, len(found)] == [True, True, 2]
 
 
 @pytest.mark.parametrize(
-    ("faults", "sentence"),
+    ("data_errors", "sentence"),
     [
         ({"scale": 80.0}, "positions are 80 times what they were in metres"),
         ({"scale": 0.01}, "positions are 0.01 times what they were in metres"),
@@ -224,43 +228,43 @@ def test_one_aspect_ratio_and_no_validation(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_units_are_named_and_nothing_else_is_advised(
-    tmp_path: Path, faults: dict[str, float], sentence: str
+    tmp_path: Path, data_errors: dict[str, float], sentence: str
 ) -> None:
     flights = [make_flight(make_scene(velocity=(0.4 * k, 0.0, 0.5)), 20) for k in range(3)]
-    wrong = suggest(advice_on(tmp_path / "wrong", flights, faults))
-    assert sentence in wrong[0].sentence and all(suggestion.change is None for suggestion in wrong)
+    wrong = suggest(advice_on(tmp_path / "wrong", flights, data_errors))
+    assert sentence in wrong[0].message and all(suggestion.change is None for suggestion in wrong)
     right = suggest(advice_on(tmp_path / "right", flights))
-    assert not any("free fall" in suggestion.sentence for suggestion in right) and changes_something(right)
+    assert not any("free fall" in suggestion.message for suggestion in right) and changes_something(right)
 
 
 def changes_something(suggestions: list[Suggestion]) -> bool:
     return any(suggestion.change is not None for suggestion in suggestions)
 
 
-def test_other_faults_are_named(sound: Advice) -> None:
+def test_other_data_errors_are_named(sound: Advice) -> None:
     survey = sound.survey
     for part, values, sentence in (
-        ("faults", {"not_finite": ("a.h5", "b.h5")}, "2 files hold numbers that are not finite (a.h5, b.h5)"),
-        ("faults", {"outside": 0.01, "extent": 7.5}, "1 % of the particles lie outside their box"),
-        ("faults", {"other_dt": ("a.h5",)}, "1 files have another dt"),
+        ("data_errors", {"not_finite": ("a.h5", "b.h5")}, "2 files hold numbers that are not finite (a.h5, b.h5)"),
+        ("data_errors", {"outside": 0.01, "extent": 7.5}, "1 % of the particles lie outside their box"),
+        ("data_errors", {"other_dt": ("a.h5",)}, "1 files have another dt"),
         ("motion", {"step": (0.0, 0.1, 0.2, 0.6)}, "the fastest particle moves at 60 m/s"),
         ("motion", {"velocity_std": 10 * survey.motion.velocity_std}, "its statistics are not those of these files"),
         ("motion", {"velocity_std": 0.0}, "nothing in the data moves"),
         ("starts", {"num_obstacles": 2}, "2 trajectories have obstacles"),
     ):
         spoilt = replace(sound, survey=replace(survey, **{part: replace(getattr(survey, part), **values)}))
-        assert [sentence in suggestion.sentence for suggestion in suggest(spoilt)] == [True], sentence
+        assert [sentence in suggestion.message for suggestion in suggest(spoilt)] == [True], sentence
 
 
 def test_volume_that_is_lost_and_particles_that_are_too_fast(sound: Advice) -> None:
     survey = sound.survey
     lost = replace(sound, survey=replace(survey, density=replace(survey.density, end_over_start=2.0)))
-    assert ["data.mpm" in suggestion.sentence for suggestion in suggest(lost)] == [True]
+    assert ["data.mpm" in suggestion.message for suggestion in suggest(lost)] == [True]
     fast = replace(sound, survey=replace(survey, motion=replace(survey.motion, step=(0.0, 0.1, 0.22, 0.3))))
     assert changes(fast) == ["data.frame_interval=0.0025"]  # half a radius of 0.11 m a step
 
 
-def test_the_door_reports_and_trains_nothing(
+def test_the_command_reports_and_trains_nothing(
     data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cfg = make_config(data_root, tmp_path)
@@ -272,7 +276,7 @@ def test_the_door_reports_and_trains_nothing(
     assert content["survey"]["density"]["measured"] == pytest.approx(0.0625, rel=0.1)
     assert content["dataset"] == str(data_root)
     for suggestion in content["suggestions"]:
-        assert suggestion["sentence"][1:] in printed and (suggestion["change"] or "") in printed
+        assert suggestion["message"][1:] in printed and (suggestion["change"] or "") in printed
     assert "block_release" in printed and "neighbours within it" in printed
 
 
@@ -320,4 +324,4 @@ def test_a_set_on_a_map_is_to_be_converted_again(tmp_path: Path) -> None:
                                  lower=(600_000.0, 0.0, 0.0), upper=(600_001.0, 1.0, 1.0))  # fmt: skip
         far.append(replace(each, position=(each.position + np.float32([6e5, 0, 0])).astype(np.float32), scene=box))
     first = suggest(advice_on(tmp_path, far))[0]
-    assert "0.062 m apart" in first.sentence and "convert their source again" in first.sentence
+    assert "0.062 m apart" in first.message and "convert their source again" in first.message

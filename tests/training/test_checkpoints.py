@@ -14,7 +14,7 @@ import torch
 from gns_pl.errors import InputError
 from gns_pl.io import StorageError
 from gns_pl.training.checkpoints import AtomicCheckpointIO
-from gns_pl.training.resume import alone_in, steps_made
+from gns_pl.training.resume import exclusive, steps_made
 from gns_pl.training.train import train
 from tests.training.conftest import assert_same, make_config, rows
 
@@ -133,13 +133,13 @@ def test_a_folder_has_one_run_at_a_time(tmp_path: Path) -> None:
     try:
         assert other.stdout is not None and other.stdout.readline() == b"held\n"
         leftover.touch()
-        with pytest.raises(InputError, match=r"another train\.py is at work"), alone_in(tmp_path):
+        with pytest.raises(InputError, match=r"another train\.py is at work"), exclusive(tmp_path):
             pass
         assert leftover.exists()  # it may be the other one's
     finally:
         other.kill()
         other.communicate()
-    with alone_in(tmp_path):  # a lock goes with its process, however that ended
+    with exclusive(tmp_path):  # a lock goes with its process, however that ended
         assert not leftover.exists()
 
 
@@ -152,6 +152,6 @@ def test_a_file_system_without_locks_takes_a_run(
     monkeypatch.setattr("fcntl.lockf", refuse)
     leftover = tmp_path / ".last.ckpt.123-abc.part"
     leftover.touch()
-    with alone_in(tmp_path):
+    with exclusive(tmp_path):
         assert leftover.exists()  # it may be another one's
     assert f"{tmp_path}: its file system has no locks" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -180,8 +181,13 @@ def test_names_are_what_folders_and_checkpoint_paths_can_take() -> None:
     assert shortened("a=b,[c]/d e") == "a_b_c_d_e" and len(shortened("x" * 500)) == 120
 
 
-@pytest.mark.parametrize("sweep", ["data_size", "noise", "message_passing"])
-@pytest.mark.parametrize("experiment", ["quickstart", "cube106", "cube106_fine"])
+@pytest.mark.parametrize(
+    ("experiment", "sweep"),
+    [
+        *product(["quickstart", "cube106", "cube106_fine"], ["data_size", "noise", "message_passing"]),
+        *product(["corrected_plane"], ["data_size", "message_passing"]),  # it has no noise
+    ],
+)
 def test_every_sweep_fits_every_experiment(experiment: str, sweep: str) -> None:
     """What is swept exists in the config, and each value takes the place of the one there."""
     GlobalHydra.instance().clear()

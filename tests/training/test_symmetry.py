@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from gns_pl.training.symmetry import sample_symmetry
-from tests.conftest import make_draws, make_static
+from tests.conftest import make_random, make_static
 
 
 def test_boxes_distances_and_gravity_go_along() -> None:
@@ -13,7 +13,7 @@ def test_boxes_distances_and_gravity_go_along() -> None:
     static.upper[:] = torch.tensor([1.5, 0.5, 0.7])
     history = torch.rand(480, 4, 3, generator=generator) * static.upper[static.batch][:, None]
     following = torch.rand(480, 3, generator=generator) * static.upper[static.batch]
-    turned, scenes = sample_symmetry(torch.cat([history, following[:, None]], dim=1), static, make_draws(static))
+    turned, scenes = sample_symmetry(torch.cat([history, following[:, None]], dim=1), static, make_random(static))
     new, new_following = turned[:, :-1], turned[:, -1]
     variants = set()
     for graph in range(16):
@@ -36,7 +36,7 @@ def test_boxes_distances_and_gravity_go_along() -> None:
 def test_two_dimensions_are_mirrored_only() -> None:
     static = make_static(10, graphs=8, gravity=(0.0, -9.81))
     history = torch.rand(80, 3, 2)
-    new, _ = sample_symmetry(history, static, make_draws(static))
+    new, _ = sample_symmetry(history, static, make_random(static))
     assert torch.equal(new[..., 1], history[..., 1])
     same = (new[..., 0] == history[..., 0]).all(dim=1)
     torch.testing.assert_close(new[~same][..., 0], 1 - history[~same][..., 0])

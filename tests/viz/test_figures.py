@@ -11,7 +11,7 @@ from gns_pl.metrics.curves import compute_curves, cut
 from gns_pl.metrics.laws import LAWS
 from gns_pl.scene import Body, Box, Plane, Scene, Wall
 from gns_pl.scene.definition import FACES
-from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
+from gns_pl.viz import plot_curves, plot_evolution, plot_laws, plot_ood, write_animation
 from gns_pl.viz.animation import COLOURS, GREYS, TONES, _palette
 from gns_pl.viz.colouring import Colouring, material_names, material_numbers
 from gns_pl.viz.evolution import failure_surface, snapshot_times, stands_on_floor
@@ -119,7 +119,7 @@ def test_runouts_beside_laws_and_distances_over_time(tmp_path) -> None:
     orange = (pixels(tmp_path / "laws.png") == (0xD5, 0x5E, 0x00)).all(axis=2)
     assert orange.any()
     time = np.linspace(0, 6, 10)
-    plot_familiarity({"a": (time, 0.1 * time, 0.01 * time)}, 0.1, tmp_path / "far.png")
+    plot_ood({"a": (time, 0.1 * time, 0.01 * time)}, 0.1, tmp_path / "far.png")
     assert (pixels(tmp_path / "far.png") < 128).any()
 
 

@@ -14,7 +14,7 @@ from gns_pl.fields import ParticleType
 from gns_pl.scene import Box, Wall
 from gns_pl.trajectory import Trajectory
 from gns_pl.viz import interactive
-from gns_pl.viz.stage import limit_of
+from gns_pl.viz.camera import limit_of
 from tests.evaluation.made_up import column, spreading, standing
 
 pytest.importorskip("plotly")

@@ -13,8 +13,8 @@ from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.scene import Plane, Wall
 from gns_pl.trajectory import Trajectory
-from gns_pl.viz import render_film, render_still, scene3d, studio
-from gns_pl.viz.stage import KINEMATIC_GREY
+from gns_pl.viz import render_film, render_still, scene3d, vtk_renderer
+from gns_pl.viz.camera import KINEMATIC_GREY
 from tests.evaluation.made_up import column, moved, spreading, standing
 from tests.viz.test_figures import hopper
 
@@ -26,7 +26,7 @@ WIDTH = 400
 
 @pytest.fixture(autouse=True)
 def screenless() -> None:
-    if not studio.draws_without_screen():
+    if not vtk_renderer.draws_without_screen():
         pytest.skip("VTK finds no OpenGL to draw without a screen")
 
 
@@ -180,12 +180,12 @@ def test_what_cannot_be_filmed_is_said(tmp_path: Path) -> None:
 
 
 def test_missing_packages_and_a_missing_opengl_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    studio.draws_without_screen.cache_clear()
+    vtk_renderer.draws_without_screen.cache_clear()
     with monkeypatch.context() as patched:
-        patched.setattr(studio, "PROBE", "import os; os.abort()")  # as VTK does
+        patched.setattr(vtk_renderer, "PROBE", "import os; os.abort()")  # as VTK does
         with pytest.raises(InputError, match="no OpenGL to draw without a screen"):
             render_still(tmp_path / "a.png", standing())
-    studio.draws_without_screen.cache_clear()
+    vtk_renderer.draws_without_screen.cache_clear()
     monkeypatch.setitem(__import__("sys").modules, "pyvista", None)
     with pytest.raises(InputError, match=r"pip install 'gns_pl\[viz3d\]'"):
         render_still(tmp_path / "a.png", standing())

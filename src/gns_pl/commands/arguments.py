@@ -58,11 +58,11 @@ def prepared(arguments: Sequence[str], config: Path) -> list[str]:
     sweeping = is_sweep(arguments)
     defaults, prepared, typed, swept = default_groups(config), [], [], set()
     for argument in arguments:
-        found = ASSIGNMENT.fullmatch(argument)
-        if found is None:
+        match = ASSIGNMENT.fullmatch(argument)
+        if match is None:
             prepared.append(argument)
             continue
-        plus, key, value = found["plus"], found["key"], found["value"]
+        plus, key, value = match["plus"], match["key"], match["value"]
         if key == "data" and "data" in defaults and (root := _named_folders(value, sweeping)):
             prepared.append(f"data={OPTION}")
             plus, key, value = "", "data.root", root
@@ -70,7 +70,7 @@ def prepared(arguments: Sequence[str], config: Path) -> list[str]:
             plus = "" if key in defaults else "+"  # the only way that Hydra takes it
         elif config.stem == "simulate" and key.startswith("scene."):
             plus, key = "++", f"changes.{encoded(key.removeprefix('scene.'))}"
-        elif any(fnmatchcase(key, each) for each in (*LISTS, *NAMES)):
+        elif any(fnmatchcase(key, pattern) for pattern in (*LISTS, *NAMES)):
             value = value_of(value, listed=key in LISTS, sweeping=sweeping)
         prepared.append(f"{plus}{key}={value}")
         typed.append(key)
@@ -85,15 +85,17 @@ def prepared(arguments: Sequence[str], config: Path) -> list[str]:
 def is_sweep(arguments: Sequence[str]) -> bool:
     """Return whether arguments start several jobs, in which commas part values."""
     return any(
-        each in ("-m", "--multirun", "hydra.mode=MULTIRUN") or each.lstrip("+").startswith("sweep=")
-        for each in arguments
+        argument in ("-m", "--multirun", "hydra.mode=MULTIRUN") or argument.lstrip("+").startswith("sweep=")
+        for argument in arguments
     )
 
 
 def default_groups(config: Path) -> set[str]:
     """Return the config groups of which a command always has an option."""
     defaults = yaml.safe_load(config.read_text(encoding="utf-8")).get("defaults", ())
-    return {name for each in defaults if isinstance(each, Mapping) for name in each if not name.startswith("override")}
+    return {
+        name for entry in defaults if isinstance(entry, Mapping) for name in entry if not name.startswith("override")
+    }
 
 
 def value_of(text: str, *, listed: bool, sweeping: bool) -> str:
@@ -117,7 +119,7 @@ def value_of(text: str, *, listed: bool, sweeping: bool) -> str:
     if listed and text.startswith("[") and text.endswith("]"):
         inner = text[1:-1]
         elements = parts_of(inner) if inner.strip() else []
-        elements = [each if exists(each) else each.strip() for each in elements]
+        elements = [element if exists(element) else element.strip() for element in elements]
         return f"[{','.join(value_of(each, listed=False, sweeping=False) for each in elements)}]"
     plain = re.sub(r"\\([\\()\[\]{}:=, ])", r"\1", text)  # escaped by hand, as Hydra's own documentation has it
     if plain != text and exists(plain):
@@ -129,7 +131,7 @@ def parts_of(text: str) -> list[str]:
     """Return what commas part, outside quotes and brackets; one in the name of a file that is there parts nothing."""
     parts, start = [], 0
     while start <= len(text):
-        commas = [found.start() for found in re.finditer(",", text) if found.start() >= start]
+        commas = [match.start() for match in re.finditer(",", text) if match.start() >= start]
         end = next((end for end in (len(text), *reversed(commas)) if exists(text[start:end])), None)
         if end is None:
             end = _end_of_part(text, start)

@@ -21,8 +21,8 @@ import gns_pl
 from gns_pl.commands.arguments import prepared
 from gns_pl.commands.help import help_text
 from gns_pl.commands.known import check_known
-from gns_pl.commands.telling import general_sentence, sentence
-from gns_pl.errors import InputError, told_plainly
+from gns_pl.commands.telling import error_message, general_message
+from gns_pl.errors import InputError, report_input_errors
 from gns_pl.machine import prepare_process
 from gns_pl.text import file_label
 
@@ -58,8 +58,8 @@ def start(main: Callable[[], Any], config_name: str) -> None:
     except Exception as error:
         if traceback_wanted or not is_told(error):
             raise
-        if not getattr(error, "was_told", False):
-            print(f"{file.name}: {sentence(error, typed, config)}", file=sys.stderr)
+        if not getattr(error, "was_reported", False):
+            print(f"{file.name}: {error_message(error, typed, config)}", file=sys.stderr)
         raise SystemExit(2) from error
     finally:
         sys.argv[1:] = typed
@@ -87,14 +87,14 @@ def job(name: str, cfg: DictConfig, *, on_stop: str = GOES_ON) -> Iterator[None]
         cfg: the config of this job.
         on_stop: what is told after Ctrl-C.
     """
-    with told_plainly(name, in_sweep=HydraConfig.get().mode == RunMode.MULTIRUN):
+    with report_input_errors(name, in_sweep=HydraConfig.get().mode == RunMode.MULTIRUN):
         try:
             check_known(cfg)
             yield
         except KeyboardInterrupt:
             raise SystemExit(f"{name}: {on_stop}") from None
         except (HydraException, OmegaConfBaseException, YAMLError) as error:
-            raise InputError(general_sentence(error)) from error
+            raise InputError(general_message(error)) from error
 
 
 def sweep_label() -> str:
@@ -103,6 +103,6 @@ def sweep_label() -> str:
     if hydra.mode != RunMode.MULTIRUN:
         return ""
     shared = set(hydra.job.config.override_dirname.exclude_keys)
-    swept = [each.lstrip("+").split("=", 1) for each in hydra.overrides.task]
-    swept = [each for each in swept if each[0] not in shared and not each[0].startswith("changes.")]
-    return file_label(*("_".join(each) for each in swept if each[0] != "scene"))  # a scene's own name tells it apart
+    swept = [pair.lstrip("+").split("=", 1) for pair in hydra.overrides.task]
+    swept = [pair for pair in swept if pair[0] not in shared and not pair[0].startswith("changes.")]
+    return file_label(*("_".join(pair) for pair in swept if pair[0] != "scene"))  # a scene's own name tells it apart

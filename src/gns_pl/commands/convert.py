@@ -10,7 +10,7 @@ from gns_pl.commands.command import CONF, job, start
 def main(cfg: DictConfig) -> None:
     """Convert with one config."""
     with job("convert.py", cfg):
-        from gns_pl.convert.door import convert_config
+        from gns_pl.convert.command import convert_config
 
         convert_config(cfg)
 

@@ -43,18 +43,18 @@ def help_text(config: Path) -> str:
             *(f"  {line}".rstrip() for line in _settings(text)),
         ]
     )
-    return re.sub(r"python (\w+)\.py", lambda found: command(found[1]), lines)
+    return re.sub(r"python (\w+)\.py", lambda match: command(match[1]), lines)
 
 
 def _settings(text: str) -> list[str]:
     """Return the lines of a YAML file without its first comments, its defaults and what is Hydra's own."""
-    kept: list[str] = []
+    shown: list[str] = []
     skipped = True
     for line in text.splitlines():
         if re.match(r"\w", line):
             skipped = line.startswith(("defaults:", "hydra:"))
-        elif not line and (skipped or not kept):
+        elif not line and (skipped or not shown):
             continue
         if not skipped:
-            kept.append(line)
-    return kept
+            shown.append(line)
+    return shown

@@ -60,9 +60,7 @@ MPM = ("", "choice.", "data.", "evaluation.stress.")
 
 WHOLE = {
     **dict.fromkeys(("seed", "data.seed", "evaluation.seed", "evaluation.stress.seed", "evaluation.placements"), 0),
-    **dict.fromkeys(
-        ("num_workers", "threads", "placements", "num_steps", "batch_size", "stride", "valid_every", "budget"), 1
-    ),
+    **dict.fromkeys(("num_workers", "threads", "placements", "budget"), 1),
     **dict.fromkeys(("batches.turns", "valid", "test"), 0),
     **dict.fromkeys((f"{owner}mpm.points_per_direction" for owner in MPM), 1),
 }

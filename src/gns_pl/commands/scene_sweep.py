@@ -37,7 +37,7 @@ class SceneSweep(Callback):
         if config.hydra.mode != RunMode.MULTIRUN:
             return
         shared = set(config.hydra.job.config.override_dirname.exclude_keys)
-        overrides = [each.lstrip("+").partition("=") for each in config.hydra.overrides.task]
+        overrides = [override.lstrip("+").partition("=") for override in config.hydra.overrides.task]
         changes = [f"{_typed(key)}={value}" for key, _, value in overrides if key not in shared]
         done = job_return.status == JobStatus.COMPLETED
         result = job_return._return_value
@@ -71,9 +71,9 @@ def read_rows(folder: Path) -> list[dict[str, str]]:
         folder: of the sweep, with a folder per job.
     """
     rows = []
-    found = {int(path.parent.name): path for path in folder.glob(f"*/{JOB_FILE}") if path.parent.name.isdecimal()}
-    for number in sorted(found):
-        content = json.loads(found[number].read_text(encoding="utf-8"))
+    jobs = {int(path.parent.name): path for path in folder.glob(f"*/{JOB_FILE}") if path.parent.name.isdecimal()}
+    for number in sorted(jobs):
+        content = json.loads(jobs[number].read_text(encoding="utf-8"))
         shared = {"job": str(number), "changed": content["changed"], "status": content["status"]}
         rows += [{**shared, **measured(Path(file)), "file": shown(file)} for file in content["files"]] or [shared]
     return rows

@@ -14,7 +14,7 @@ from yaml import MarkedYAMLError
 
 from gns_pl.commands.arguments import ASSIGNMENT, default_groups
 from gns_pl.commands.known import unknown_key
-from gns_pl.errors import InputError, file_sentence
+from gns_pl.errors import InputError, file_error_message
 from gns_pl.text import did_you_mean, override
 
 EXTRAS = {
@@ -27,7 +27,7 @@ EXTRAS = {
 """Plugins of Hydra → the extra of this package that brings them."""
 
 
-def sentence(error: Exception, arguments: Sequence[str], config: Path) -> str:
+def error_message(error: Exception, arguments: Sequence[str], config: Path) -> str:
     """Return what is wrong with what was typed, and what to do.
 
     Args:
@@ -52,17 +52,17 @@ def sentence(error: Exception, arguments: Sequence[str], config: Path) -> str:
         return f"which {match[1]}? {match[1]}=NAME; there are {', '.join(options(config, match[1]))}."
     if match := re.match(r"Multiple values for (\S+?)\.", text):
         return f"{match[1]}= is given more than once."
-    return general_sentence(error)
+    return general_message(error)
 
 
-def general_sentence(error: Exception) -> str:
+def general_message(error: Exception) -> str:
     """Return what is wrong, where nothing is known of what was typed."""
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, MarkedYAMLError):
         return yaml_sentence(error)
     if isinstance(error, OSError) and not isinstance(error, HydraException):
-        return file_sentence(error)
+        return file_error_message(error)
     cause = error.__cause__
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if isinstance(error, InstantiationException):
@@ -87,11 +87,11 @@ def options(config: Path, group: str) -> list[str]:
 
 
 def _unreadable(argument: str) -> str:
-    found = ASSIGNMENT.fullmatch(argument)
-    if found is None or not found["value"] or not re.fullmatch(r"[\w.@/$-]+", found["key"]):
+    match = ASSIGNMENT.fullmatch(argument)
+    if match is None or not match["value"] or not re.fullmatch(r"[\w.@/$-]+", match["key"]):
         return f"{argument!r} is not KEY=VALUE; write it without spaces around the =, and see --help for the keys."
-    typed = override(found["key"], found["value"])
-    return f"{argument}: the value cannot be read; if it is meant as text, type {found['plus']}{typed}"
+    typed = override(match["key"], match["value"])
+    return f"{argument}: the value cannot be read; if it is meant as text, type {match['plus']}{typed}"
 
 
 def _missing_option(error: MissingConfigException, config: Path) -> str:
@@ -118,7 +118,7 @@ def _usual(config: Path, arguments: Sequence[str]) -> DictConfig:
 
 def _groups(config: Path, arguments: Sequence[str]) -> Iterator[str]:
     defaults = default_groups(config)
-    for each in arguments:
-        found = ASSIGNMENT.fullmatch(each)
-        if found and found["key"] in defaults and found["value"] in options(config, found["key"]):
-            yield f"{found['key']}={found['value']}"
+    for argument in arguments:
+        match = ASSIGNMENT.fullmatch(argument)
+        if match and match["key"] in defaults and match["value"] in options(config, match["key"]):
+            yield f"{match['key']}={match['value']}"

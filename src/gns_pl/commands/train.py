@@ -7,6 +7,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from gns_pl.commands.command import CONF, job, start
+from gns_pl.models.shipped import CORRECTOR, CORRECTOR_KIND
 from gns_pl.text import command, override
 from gns_pl.training.resume import find_resume
 from gns_pl.training.summary import objective, shown_path
@@ -27,7 +28,11 @@ def main(cfg: DictConfig) -> float | None:
         from gns_pl.training.train import train
 
         last = train(cfg, output, resume)
-        print(f"To judge its last state: {command('evaluate')} {override('ckpt', shown_path(last))}")
+        if cfg.model.get("kind") == CORRECTOR_KIND:
+            made = override("ckpt", shown_path(output / f"{cfg.name}{CORRECTOR}"))
+            print(f"To run it: {command('simulate')} {made} scene=FILE.yaml")
+        else:
+            print(f"To judge its last state: {command('evaluate')} {override('ckpt', shown_path(last))}")
     return objective(output)
 
 

@@ -77,7 +77,7 @@ class Common:
             InputError: what the format cannot say of it beside those before; the caller names the trajectory.
         """
         part = self.part_of[split]
-        where = " and ".join(each for each in SPLITS if self.part_of[each] == part)
+        where = " and ".join(other for other in SPLITS if self.part_of[other] == part)
         box = [list(pair) for pair in zip(scene.lower, scene.upper, strict=True)] if bounds is None else bounds
         known, step = self._boxes.setdefault(part, box), self._steps.setdefault(part, dt)
         origin = list(scene.origin)
@@ -128,11 +128,11 @@ class Common:
     def note(self, scene: Scene, **more: Sequence[Any]) -> None:
         """Look at what the format has no place for, of a scene; `more` is such as well, name → values."""
         materials = [asdict(scene.materials[body.material]) for body in scene.bodies]
-        found: dict[str, Sequence[Any]] = {"gravity": [scene.gravity], "walls": [dict(scene.walls)], **more}
+        values_of: dict[str, Sequence[Any]] = {"gravity": [scene.gravity], "walls": [dict(scene.walls)], **more}
         names = {"density": ("density",), "stiffness": ("youngs_modulus", "poisson_ratio")}
         for name, keys in {**names, "cohesion": ("cohesion", "tension_cutoff", "dilation_angle_deg")}.items():
-            found[name] = [[material[key] for key in keys] for material in materials]
-        for name, values in found.items():
+            values_of[name] = [[material[key] for key in keys] for material in materials]
+        for name, values in values_of.items():
             known = self._seen.setdefault(name.replace("_", " "), [])
             known += [value for value in values if value not in known]
 

@@ -11,7 +11,7 @@ import torch
 from torch_geometric.data import Batch
 
 from gns_pl.data.windows import WindowDataset
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.io import SPLITS, read_manifest
 from gns_pl.models.geoelements import FrameSimulator
 
@@ -46,7 +46,7 @@ def compare_edge_updates(simulators: Mapping[str, FrameSimulator], folder: Path)
         for place in np.unique(np.linspace(0, len(whole) - 1, min(WINDOWS, len(whole))).round().astype(int)).tolist():
             index = whole[place]
             batch = Batch.from_data_list([windows[index]])
-            static = Static(**{key: getattr(batch, key) for key in STATIC}, batch=batch.batch)
+            static = SceneBatch(**{key: getattr(batch, key) for key in STATIC}, batch=batch.batch)
             history, truth = batch.position[:, :-1], batch.position[:, -1]
             guesses = {way: simulator.eval()(history, static) for way, simulator in simulators.items()}
             guesses["none"] = 2 * history[:, -1] - history[:, -2]

@@ -29,13 +29,12 @@ from gns_pl.io import StorageError, remove_temporary_files
 from gns_pl.io.atomic import sync, write_atomically
 from gns_pl.io.lock import locked
 
-FORMATS = ("gns_pl", "geoelements", "lagrangebench", "vtk")
 BEGUN = "conversion.json"
 LOCK = ".lock"
 
 
 def convert(
-    found: ForeignSet,
+    source: ForeignSet,
     target: str | Path,
     *,
     to: str = "gns_pl",
@@ -48,9 +47,9 @@ def convert(
     """Write a foreign set in another format.
 
     Args:
-        found: the source, from `open_set`.
+        source: the source, from `open_set`.
         target: folder; must not be there yet.
-        to: a format of `FORMATS`.
+        to: "gns_pl", or a format of `exports.WRITERS`.
         given: what the user says of units and axes.
         assumed: what stands in scenes where the source does not say.
         name: of a data set of ours; the target's name if None.
@@ -64,23 +63,24 @@ def convert(
         InputError: a source or settings that cannot be used; nothing is left behind.
         StorageError: the disk refuses; what is written stays, and the same command goes on.
     """
-    if to not in FORMATS:
-        raise InputError(f"to must be one of {', '.join(FORMATS)}, not {to!r}.")
+    known = ("gns_pl", *exports.WRITERS)
+    if to not in known:
+        raise InputError(f"to must be one of {', '.join(known)}, not {to!r}.")
     target = Path(target)
-    items = plan_items(found.names, valid=valid, test=test)
-    facts = work_out(found, given)
-    begun = _identity(found, target, to, facts, assumed, items)
+    items = plan_items(source.names, valid=valid, test=test)
+    facts = work_out(source, given)
+    begun = _identity(source, target, to, facts, assumed, items)
     if target.exists():
         raise InputError(f"{target}: is there already; remove it or choose another target=.")
     part, warning = target.with_name(f".{target.name}.converting"), None
-    with _made(part, begun), _progress(len(items), str(target)) as told:
+    with _made(part, begun), _progress(len(items), str(target)) as on_done:
         if to == "gns_pl":
-            write_set(part, found, items, facts, assumed, name=name or target.name, told=told)
+            write_set(part, source, items, facts, assumed, name=name or target.name, on_done=on_done)
         else:
             _clear(part)
             writer, common = exports.WRITERS[to][0], exports.WRITERS[to][1]()
             try:
-                writer(exports.Export(part, found, items, facts, assumed, common, told))
+                writer(exports.Export(part, source, items, facts, assumed, common, on_done))
             except OSError as error:
                 raise StorageError(f"{part}: cannot be written ({error.strerror or error}).") from error
             warning = common.warning()
@@ -102,11 +102,13 @@ def _rename(part: Path, target: Path) -> None:
 
 
 def _identity(
-    found: ForeignSet, target: Path, to: str, facts: Facts, assumed: Assumed, items: Sequence[Item]
+    source: ForeignSet, target: Path, to: str, facts: Facts, assumed: Assumed, items: Sequence[Item]
 ) -> dict[str, Any]:
     """Return what has to be the same for a broken-off conversion to be gone on with."""
-    files = [found.path] if found.path.is_file() else sorted(path for path in found.path.rglob("*") if path.is_file())
-    if found.path.is_dir() and target.absolute().is_relative_to(found.path.absolute()):
+    files = (
+        [source.path] if source.path.is_file() else sorted(path for path in source.path.rglob("*") if path.is_file())
+    )
+    if source.path.is_dir() and target.absolute().is_relative_to(source.path.absolute()):
         raise InputError(f"{target}: lies in the source; choose another target=.")
     listed = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
     content = {

@@ -14,7 +14,7 @@ from gns_pl.convert.formats.ours import KIND as OURS
 from gns_pl.convert.given import Given, axis_number
 from gns_pl.convert.material_value import material_question, stated_meaning
 from gns_pl.convert.sample import Sample, box_findings, listed, stated_or_seen_spacing, take_sample
-from gns_pl.data.probes import measure_gravity
+from gns_pl.data.estimators import measure_gravity
 from gns_pl.errors import InputError
 from gns_pl.scene.origin import COARSE, far_origin, without_origin
 
@@ -22,8 +22,6 @@ EARTH = 9.81
 """Gravity that tells metres from other units [m/s²]."""
 METRES = 0.03
 """Free fall within this share of it is in metres and seconds."""
-SI_KINDS = ("CB-Geo MPM", OURS)
-"""Sources that are in SI units by their own definition."""
 AXES = {2: ("x", "z"), 3: ("x", "y", "z")}
 
 
@@ -124,33 +122,33 @@ class Findings:
     notes: tuple[str, ...]
 
 
-def work_out(found: ForeignSet, given: Given) -> Facts:
+def work_out(source: ForeignSet, given: Given) -> Facts:
     """Return all facts of a source.
 
     Raises:
         InputError: something is neither stated, nor seen in the motion, nor given; the sentence says what to add.
     """
-    findings = find_out(found, given)
+    findings = find_out(source, given)
     if findings.facts is None:
-        raise InputError(f"{found.path}: {'; '.join(findings.asks)}.")
+        raise InputError(f"{source.path}: {'; '.join(findings.asks)}.")
     return findings.facts
 
 
-def find_out(found: ForeignSet, given: Given) -> Findings:
+def find_out(source: ForeignSet, given: Given) -> Findings:
     """Return what is stated, given, or seen in a sample of the motion, and what has to be asked for.
 
     Raises:
         InputError: recordings that cannot be read, periodic axes, or values that contradict each other.
     """
-    stated, sample = found.stated, take_sample(found, given.types)
+    stated, sample = source.stated, take_sample(source, given.types)
     if any(stated.periodic):
-        raise InputError(f"{found.path}: is periodic along an axis, and gns_pl knows walls only.")
+        raise InputError(f"{source.path}: is periodic along an axis, and gns_pl knows walls only.")
     dim, asks, notes = sample.dim, [], list(stated.notes)
     dt = given.dt or stated.dt
     if dt is None:
         asks.append("the time between frames is not stated: give dt=0.0025, in seconds")
-    axis, magnitude = _gravity(found, given, sample, dt, notes)
-    scale = _scale(found, given, magnitude, asks, notes)
+    axis, magnitude = _gravity(source, given, sample, dt, notes)
+    scale = _scale(source, given, magnitude, asks, notes)
     if axis is None and dt is not None:
         asks.append(
             "the direction of gravity is not stated and cannot be seen, since nothing falls freely: give gravity_axis="
@@ -161,17 +159,17 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         seen = (listed(sample.lower, sample.extent), listed(sample.upper, sample.extent))
         asks.append(f"the box is not stated; the particles lie between {seen[0]} and {seen[1]}: give lower=… upper=…")
     elif len(lower) != dim or len(upper) != dim or any(a >= b for a, b in zip(lower, upper, strict=True)):
-        raise InputError(f"{found.path}: a box from {list(lower)} to {list(upper)} does not fit {dim} dimensions.")
+        raise InputError(f"{source.path}: a box from {list(lower)} to {list(upper)} does not fit {dim} dimensions.")
     asks += [question for name, question in stated.questions.items() if getattr(given, name) is None]
     material_value = given.material_value or stated_meaning(stated.metadata)
     if sample.material is not None and material_value is None:
         asks.append(material_question(*sample.material))
-    spacing = given.spacing or stated_or_seen_spacing(found, sample, asks)
+    spacing = given.spacing or stated_or_seen_spacing(source, sample, asks)
     apart = spacing or stated.spacing
     rounding = sample.rounding(given.for_all)
     if apart is not None and rounding > COARSE * apart:
         raise InputError(
-            f"{found.path}: coordinates up to {sample.largest:.6g} are rounded to {rounding:.2g}, as float32 "
+            f"{source.path}: coordinates up to {sample.largest:.6g} are rounded to {rounding:.2g}, as float32 "
             f"is there, for particles {apart:.3g} apart; write them in float64 or less an origin"
         )
     if spacing is not None and lower is not None and upper is not None and len(lower) == len(upper) == dim:
@@ -180,7 +178,7 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
         asks += [ask] if ask else []
     gravity = given.gravity
     if gravity is None and magnitude is not None and scale is not None:
-        gravity = magnitude * scale if found.kind in SI_KINDS else float(f"{magnitude * scale:.3g}")
+        gravity = magnitude * scale if source.si else float(f"{magnitude * scale:.3g}")
     if axis is not None and gravity is None and scale is not None:
         asks.append("how strong gravity is, is not stated and cannot be seen: give gravity=9.81")
     values = {"dt": dt, "scale": scale, "axis": axis, "gravity": gravity, "lower": lower, "upper": upper,
@@ -191,10 +189,10 @@ def find_out(found: ForeignSet, given: Given) -> Findings:
     assert dt and scale and axis is not None and gravity is not None and lower and upper and spacing
     axes = turned_axes(axis, dim)
     if axis != dim - 1:
-        names = ", ".join("xyz"[each] for each in axes)
+        names = ", ".join("xyz"[axis] for axis in axes)
         notes.append(f"axes are exchanged in turn so that gravity is along the last: ours are its {names}")
-    vector = _vector(found, axes, gravity)
-    box = near_box(*(tuple(corner[each] * scale for each in axes) for corner in (lower, upper)))
+    vector = _vector(source, axes, gravity)
+    box = near_box(*(tuple(corner[axis] * scale for axis in axes) for corner in (lower, upper)))
     if any(box["origin"]):
         text = "coordinates are far from zero: the origin {} m is taken off them, and remembered"
         notes.append(text.format(list(box["origin"])))
@@ -224,28 +222,28 @@ def turned_axes(axis: int, dim: int) -> tuple[int, ...]:
     return tuple((axis + 1 + k) % dim for k in range(dim))
 
 
-def _vector(found: ForeignSet, axes: tuple[int, ...], gravity: float) -> tuple[float, ...]:
+def _vector(source: ForeignSet, axes: tuple[int, ...], gravity: float) -> tuple[float, ...]:
     """Return the acceleration of gravity along our axes [D] [m/s²]: stated inclined, it stays so, of any size."""
-    stated = found.stated.gravity
+    stated = source.stated.gravity
     size = 0.0 if stated is None else math.hypot(*stated)
     if stated is None or not size:
         return (*[0.0] * (len(axes) - 1), 0.0 - gravity)
     factor = 1.0 if math.isclose(size, gravity, rel_tol=1e-6) else gravity / size
-    return tuple(stated[each] * factor for each in axes)
+    return tuple(stated[axis] * factor for axis in axes)
 
 
 def _gravity(
-    found: ForeignSet, given: Given, sample: Sample, dt: float | None, notes: list[str]
+    source: ForeignSet, given: Given, sample: Sample, dt: float | None, notes: list[str]
 ) -> tuple[int | None, float | None]:
     """Return the axis of gravity and its magnitude in the source's units, as stated or as free fall shows it."""
     axis = None if given.gravity_axis is None else axis_number(given.gravity_axis, sample.dim)
-    if found.stated.gravity is not None and len(found.stated.gravity) == sample.dim:
-        vector = np.array(found.stated.gravity)
+    if source.stated.gravity is not None and len(source.stated.gravity) == sample.dim:
+        vector = np.array(source.stated.gravity)
         size = float(np.linalg.norm(vector))
         if axis is None:  # ours are along our axes as they are, however steep; without gravity, nothing is to be turned
-            axis = sample.dim - 1 if not size or found.kind == OURS else int(np.abs(vector).argmax())
-        if vector[axis] > 0 and found.kind != OURS:
-            raise InputError(f"{found.path}: gravity points upwards along its axis; mirror the data first.")
+            axis = sample.dim - 1 if not size or source.kind == OURS else int(np.abs(vector).argmax())
+        if vector[axis] > 0 and source.kind != OURS:
+            raise InputError(f"{source.path}: gravity points upwards along its axis; mirror the data first.")
         return axis, size
     if given.gravity == 0:
         return sample.dim - 1 if axis is None else axis, None
@@ -253,11 +251,11 @@ def _gravity(
         return axis, None
     rounding = sample.rounding(given.for_all) / dt**2
     second = [np.diff(window, n=2, axis=0) / dt**2 for window in sample.windows]
-    acceleration = np.concatenate([each[1] for each in second])
-    previous = np.concatenate([each[0] for each in second])
+    acceleration = np.concatenate([pair[1] for pair in second])
+    previous = np.concatenate([pair[0] for pair in second])
     best: tuple[int, int, float, int] | None = None
     for candidate in range(sample.dim) if axis is None else (axis,):
-        order = [each for each in range(sample.dim) if each != candidate] + [candidate]
+        order = [direction for direction in range(sample.dim) if direction != candidate] + [candidate]
         for sign in (1, -1):
             size, falls = measure_gravity(sign * acceleration[:, order], sign * previous[:, order], rounding)
             if math.isfinite(size) and (best is None or falls.sum() > best[0]):
@@ -266,14 +264,16 @@ def _gravity(
         return axis, None
     count, axis, size, sign = best
     if sign < 0:
-        raise InputError(f"{found.path}: particles fall upwards along axis {axis}; mirror that axis first.")
+        raise InputError(f"{source.path}: particles fall upwards along axis {axis}; mirror that axis first.")
     share = count / len(acceleration)
     notes.append(f"gravity is {size:.4g} length units/s² along axis {axis}, by the {share:.0%} that fall freely")
     return axis, size
 
 
-def _scale(found: ForeignSet, given: Given, magnitude: float | None, asks: list[str], notes: list[str]) -> float | None:
-    if given.scale is not None or found.kind in SI_KINDS:
+def _scale(
+    source: ForeignSet, given: Given, magnitude: float | None, asks: list[str], notes: list[str]
+) -> float | None:
+    if given.scale is not None or source.si:
         return given.scale or 1.0
     earth = given.gravity or EARTH
     if magnitude is None:

@@ -13,7 +13,7 @@ from gns_pl.convert.facts import Findings, find_out
 from gns_pl.convert.formats import UNCERTAIN_MATERIAL, ForeignSet
 from gns_pl.convert.given import Given
 from gns_pl.convert.sample import Sample, listed, take_sample
-from gns_pl.data.probes import neighbour_counts
+from gns_pl.data.estimators import neighbour_counts
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES
 from gns_pl.graph.radius import RADIUS
@@ -26,49 +26,49 @@ RADII = (1.5, RADIUS)
 """Where no connectivity radius is stated, neighbours are counted within so many spacings."""
 
 
-def inspect_source(found: ForeignSet, given: Given) -> list[str]:
+def inspect_source(source: ForeignSet, given: Given) -> list[str]:
     """Return a report, line by line; nothing is written.
 
     Args:
-        found: the source.
+        source: the source.
         given: what the user says of it.
 
     Raises:
         InputError: recordings that cannot be read.
     """
-    sample = take_sample(found, given.types)
+    sample = take_sample(source, given.types)
     asked: tuple[str, ...] = ()
     try:
-        findings: Findings | None = find_out(found, given)
+        findings: Findings | None = find_out(source, given)
     except InputError as error:
         findings, asked = None, (str(error),)
     values = findings.values if findings else {}
-    lines = [f"{found.path}: {found.kind}"]
-    lines += _shapes(found, values.get("material_value"))
+    lines = [f"{source.path}: {source.kind}"]
+    lines += _shapes(source, values.get("material_value"))
     lines += _units(values, sample)
     lines += _motion(values, sample)
-    lines += _neighbours(found, values, sample)
-    notes = findings.notes if findings else found.stated.notes
+    lines += _neighbours(source, values, sample)
+    notes = findings.notes if findings else source.stated.notes
     lines += [f"  note: {note}" for note in notes]
     asked = findings.asks if findings else asked
     lines += [f"  missing: {ask}" for ask in asked] or ["  nothing is missing"]
     return lines
 
 
-def _shapes(found: ForeignSet, material_value: str | None) -> list[str]:
-    splits = Counter(split or "no split" for split, _ in found.names)
+def _shapes(source: ForeignSet, material_value: str | None) -> list[str]:
+    splits = Counter(split or "no split" for split, _ in source.names)
     order = [*SPLITS, "no split"]
     counted = ", ".join(f"{splits[split]} {split}" for split in order if splits[split])
-    chosen = np.unique(np.linspace(0, len(found.names) - 1, MOST_OPENED).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(source.names) - 1, MOST_OPENED).round().astype(int))
     frames, particles, types, features, dtypes, dims = [], [], Counter[int](), set(), set(), set()
     notes: list[str] = []
-    said: dict[str, set[Any]] = {name: set() for name in ("box", "gravity", "time step")}
+    stated: dict[str, set[Any]] = {name: set() for name in ("box", "gravity", "time step")}
     for number in chosen.tolist():
-        with found.recording(number) as recording:
-            own = recording.stated or found.stated
-            said["box"].add((own.lower, own.upper))
-            said["gravity"].add(own.gravity)
-            said["time step"].add(own.dt)
+        with source.recording(number) as recording:
+            own = recording.stated or source.stated
+            stated["box"].add((own.lower, own.upper))
+            stated["gravity"].add(own.gravity)
+            stated["time step"].add(own.dt)
             frames.append(recording.num_frames)
             particles.append(recording.num_particles)
             dims.add(recording.dim)
@@ -76,17 +76,17 @@ def _shapes(found: ForeignSet, material_value: str | None) -> list[str]:
             features.add(recording.material_features)
             types.update(recording.particle_type.tolist())
             notes += [note for note in recording.notes if note not in notes]
-    several = [name for name, values in said.items() if len(values) > 1]
-    if several and not any(note.startswith("trajectories differ") for note in found.stated.notes):
+    several = [name for name, values in stated.items() if len(values) > 1]
+    if several and not any(note.startswith("trajectories differ") for note in source.stated.notes):
         notes.append(f"trajectories differ in {', '.join(several)}; what is told here is that of the first")
     meaning = "of unknown meaning" if material_value is None else f"{MATERIAL_FEATURES[0]} by {material_value}"
     meaning = "left out" if material_value == "none" else meaning
-    named = sorted({name for each in features for name in each})
+    named = sorted({name for columns in features for name in columns})
     named = [f"{name} ({meaning})" if name == UNCERTAIN_MATERIAL else name for name in named]
     kinds = ", ".join(f"{kind} ({count:,} particles)" for kind, count in sorted(types.items()))
-    looked = "" if len(chosen) == len(found.names) else f" (of the {len(chosen)} looked at)"
+    looked = "" if len(chosen) == len(source.names) else f" (of the {len(chosen)} looked at)"
     return [
-        f"  trajectories: {len(found.names)} ({counted})",
+        f"  trajectories: {len(source.names)} ({counted})",
         f"  shapes{looked}: T = {_range(frames)} frames, N = {_range(particles)} particles, D = {_range(sorted(dims))}",
         f"  positions: {', '.join(sorted(dtypes))}"
         + ("" if dtypes == {"float32"} else "; stored here as float32, so they are rounded"),
@@ -121,8 +121,8 @@ def _motion(values: Mapping[str, Any], sample: Sample) -> list[str]:
     ]
 
 
-def _neighbours(found: ForeignSet, values: Mapping[str, Any], sample: Sample) -> list[str]:
-    spacing, stated = values.get("spacing"), found.stated.radius
+def _neighbours(source: ForeignSet, values: Mapping[str, Any], sample: Sample) -> list[str]:
+    spacing, stated = values.get("spacing"), source.stated.radius
     if spacing is None and stated is None:
         return []
     radii = [stated] if stated is not None else [factor * (spacing or 1.0) for factor in RADII]

@@ -34,7 +34,7 @@ def carried_scene(scene: Scene, facts: Facts) -> Scene:
             for body in scene.bodies
         ),
         walls=turned_faces(scene.walls, facts.axes),
-        obstacles=tuple(_obstacle(each, facts) for each in scene.obstacles),
+        obstacles=tuple(_obstacle(obstacle, facts) for obstacle in scene.obstacles),
     )
 
 

@@ -51,6 +51,6 @@ def plan_items(names: Sequence[tuple[str, str]], *, valid: int, test: int) -> li
             splits[place] = "valid" if place < len(names) - held + validating else "test"
     items: list[Item] = []
     for split in SPLITS:
-        numbers = [number for number, each in enumerate(splits) if each == split]
+        numbers = [number for number, name in enumerate(splits) if name == split]
         items += [Item(number, names[number][1], split, f"{split}_{k:04d}") for k, number in enumerate(numbers)]
     return items

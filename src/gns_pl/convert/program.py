@@ -22,7 +22,7 @@ from torch.export import Dim, ExportedProgram
 
 import gns_pl
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_width
+from gns_pl.graph import SceneBatch, edge_width
 from gns_pl.io.atomic import write_atomically
 from gns_pl.models.registry import kind_of
 from gns_pl.models.simulator import Simulator
@@ -34,7 +34,7 @@ METADATA = "gns_pl"
 
 
 class Step(nn.Module):
-    """A simulator's step of one scene, with plain tensors in the place of `Static` and of the search for neighbours."""
+    """A simulator's step of one scene, with plain tensors in the place of `SceneBatch` and of the search."""
 
     def __init__(self, simulator: Simulator) -> None:
         super().__init__()
@@ -64,7 +64,7 @@ class Step(nn.Module):
             gravity: [D] [m/s²].
         """
         box = (lower[None], upper[None], gravity[None])
-        static = Static(particle_type, material, volume, *box, batch=torch.zeros_like(particle_type))
+        static = SceneBatch(particle_type, material, volume, *box, batch=torch.zeros_like(particle_type))
         next_position: Tensor = self.simulator(history, static, search=lambda *_, **__: edge_index)
         return next_position
 

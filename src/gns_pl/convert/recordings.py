@@ -149,13 +149,13 @@ def _known_material(recording: Recording, facts: Facts) -> tuple[tuple[str, ...]
 
 def merged(stated: Stated, own: Stated) -> Stated:
     """Return what a source says of its set, and over it what it says of one recording."""
-    said = {each.name: getattr(own, each.name) for each in fields(own)}
-    return replace(stated, **{name: value for name, value in said.items() if value not in (None, (), {})})
+    stated_here = {field.name: getattr(own, field.name) for field in fields(own)}
+    return replace(stated, **{name: value for name, value in stated_here.items() if value not in (None, (), {})})
 
 
 def types_of(recording: Recording, facts: Facts) -> NDArray[np.int64]:
     """Return the particle types of a recording, ours [N]."""
-    return np.array([facts.types.get(int(each), int(each)) for each in recording.particle_type], dtype=np.int64)
+    return np.array([facts.types.get(int(kind), int(kind)) for kind in recording.particle_type], dtype=np.int64)
 
 
 def scene_of(

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.convert.formats import UNCERTAIN_MATERIAL, ForeignSet, Recording, Stated
+from gns_pl.data.estimators import interior_spacing, nearest_distance
 from gns_pl.data.places import check_inside
-from gns_pl.data.probes import interior_spacing, nearest_distance
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 
@@ -26,7 +26,7 @@ MOST_PARTICLES = 20_000
 
 
 @dataclass(frozen=True)
-class Seen:
+class RecordingSample:
     """Frames of one recording, in the source's units.
 
     Attributes:
@@ -61,28 +61,28 @@ class Sample:
     """
 
     dim: int
-    seen: list[Seen]
+    recordings: list[RecordingSample]
     material: tuple[float, float] | None = None
 
     @property
     def starts(self) -> list[NDArray[np.float64]]:
         """The moved particles of the first frames, each [N, D]."""
-        return [each.start for each in self.seen]
+        return [recording.start for recording in self.recordings]
 
     @property
     def windows(self) -> list[NDArray[np.float64]]:
         """Four frames in a row of moved particles, each [4, N, D]."""
-        return [window for each in self.seen for window in each.windows]
+        return [window for recording in self.recordings for window in recording.windows]
 
     @property
     def lower(self) -> NDArray[np.float64]:
         """Least coordinates seen [D]."""
-        return _lowest(self.seen)
+        return _lowest(self.recordings)
 
     @property
     def upper(self) -> NDArray[np.float64]:
         """Greatest coordinates seen [D]."""
-        return _highest(self.seen)
+        return _highest(self.recordings)
 
     @property
     def largest(self) -> float:
@@ -103,50 +103,52 @@ class Sample:
             given: of "lower" and "upper", those that the user gave, for all recordings.
         """
         extent, digit = self.largest, float(np.finfo(np.float32).eps)
-        if not all((each == each.astype(np.float32)).all() for each in [*self.starts, *self.windows]):
+        if not all((recording == recording.astype(np.float32)).all() for recording in [*self.starts, *self.windows]):
             places = self.by_box(given).values()
-            extent = min(extent, max(float((_highest(seen) - _lowest(seen)).max()) for seen in places))
+            extent = min(
+                extent, max(float((_highest(recordings) - _lowest(recordings)).max()) for recordings in places)
+            )
         return digit * extent
 
-    def by_box(self, given: Collection[str]) -> dict[tuple[tuple[float, ...] | None, ...], list[Seen]]:
-        """Return box (`Seen.box`) → recordings with it."""
-        boxes: dict[tuple[tuple[float, ...] | None, ...], list[Seen]] = {}
-        for each in self.seen:
-            boxes.setdefault(each.box(given), []).append(each)
+    def by_box(self, given: Collection[str]) -> dict[tuple[tuple[float, ...] | None, ...], list[RecordingSample]]:
+        """Return box (`RecordingSample.box`) → recordings with it."""
+        boxes: dict[tuple[tuple[float, ...] | None, ...], list[RecordingSample]] = {}
+        for recording in self.recordings:
+            boxes.setdefault(recording.box(given), []).append(recording)
         return boxes
 
 
-def _lowest(seen: Iterable[Seen]) -> NDArray[np.float64]:
-    return np.asarray(np.min([each.lower for each in seen], axis=0))
+def _lowest(recordings: Iterable[RecordingSample]) -> NDArray[np.float64]:
+    return np.asarray(np.min([recording.lower for recording in recordings], axis=0))
 
 
-def _highest(seen: Iterable[Seen]) -> NDArray[np.float64]:
-    return np.asarray(np.max([each.upper for each in seen], axis=0))
+def _highest(recordings: Iterable[RecordingSample]) -> NDArray[np.float64]:
+    return np.asarray(np.max([recording.upper for recording in recordings], axis=0))
 
 
-def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
+def take_sample(source: ForeignSet, types: Mapping[int, int]) -> Sample:
     """Read a few frames of a few recordings.
 
     Args:
-        found: the source.
+        source: the source.
         types: particle types that are to be changed.
 
     Raises:
         InputError: recordings that cannot be read, or of different dimensions.
     """
-    chosen = np.unique(np.linspace(0, len(found.names) - 1, SAMPLE).round().astype(int))
-    seen: list[Seen] = []
+    chosen = np.unique(np.linspace(0, len(source.names) - 1, SAMPLE).round().astype(int))
+    recordings: list[RecordingSample] = []
     dims: set[int] = set()
     values: list[float] = []
     for number in chosen.tolist():
-        with found.recording(number) as recording:
+        with source.recording(number) as recording:
             dims.add(recording.dim)
             if recording.material_features == (UNCERTAIN_MATERIAL,):
                 values += [float(recording.material.min()), float(recording.material.max())]
             moved = np.flatnonzero(recording.moved if not types else _moved(recording, types))
             if not len(moved):
                 continue
-            some = moved[:: max(1, len(moved) // MOST_PARTICLES)]
+            tracked = moved[:: max(1, len(moved) // MOST_PARTICLES)]
             start = recording.frames(0, 1)[0, moved].astype(np.float64)
             windows, lowest, highest = [], [], []
             last = max(0, recording.num_frames - 4)
@@ -156,52 +158,54 @@ def take_sample(found: ForeignSet, types: Mapping[int, int]) -> Sample:
                 lowest.append(whole.min(axis=(0, 1)).astype(np.float64))
                 highest.append(whole.max(axis=(0, 1)).astype(np.float64))
                 if len(whole) == 4:
-                    windows.append(whole[:, some].astype(np.float64))
-            seen.append(Seen(recording.stated, start, windows, np.min(lowest, axis=0), np.max(highest, axis=0)))
+                    windows.append(whole[:, tracked].astype(np.float64))
+            recordings.append(
+                RecordingSample(recording.stated, start, windows, np.min(lowest, axis=0), np.max(highest, axis=0))
+            )
     if len(dims) > 1:
-        raise InputError(f"{found.path}: holds trajectories in two and in three dimensions; convert them apart.")
-    if not seen:
-        raise InputError(f"{found.path}: all its particles are kinematic, so nothing moves.")
+        raise InputError(f"{source.path}: holds trajectories in two and in three dimensions; convert them apart.")
+    if not recordings:
+        raise InputError(f"{source.path}: all its particles are kinematic, so nothing moves.")
     material = (min(values), max(values)) if values else None
-    return Sample(dims.pop(), seen, material)
+    return Sample(dims.pop(), recordings, material)
 
 
 def _moved(recording: Recording, types: Mapping[int, int]) -> NDArray[np.bool_]:
-    kinds = np.array([types.get(int(each), int(each)) for each in recording.particle_type])
+    kinds = np.array([types.get(int(kind), int(kind)) for kind in recording.particle_type])
     return np.asarray(kinds != int(ParticleType.KINEMATIC))
 
 
-def stated_or_seen_spacing(found: ForeignSet, sample: Sample, asks: list[str]) -> float | None:
+def stated_or_seen_spacing(source: ForeignSet, sample: Sample, asks: list[str]) -> float | None:
     """Return the spacing as the source states it, where that fits the particles, or as it is seen; None if neither.
 
     Args:
-        found: the source.
+        source: the source.
         sample: of it.
         asks: gets the sentence that asks for it.
     """
-    if "spacing" in found.stated.questions:
+    if "spacing" in source.stated.questions:
         return None  # asked for already
-    stated, seen = found.stated.spacing, seen_spacing(sample)
-    ratio = stated / seen if stated is not None and seen is not None and found.kind != "gns_pl" else 1.0
+    stated, measured = source.stated.spacing, seen_spacing(sample)
+    ratio = stated / measured if stated is not None and measured is not None and source.kind != "gns_pl" else 1.0
     if not 1 / OTHER_SPACING < ratio < OTHER_SPACING:
-        asks.append(f"the stated spacing, {stated:g}, does not fit particles {seen:g} apart: give spacing=…")
+        asks.append(f"the stated spacing, {stated:g}, does not fit particles {measured:g} apart: give spacing=…")
         return None
-    if stated is None and seen is None:
+    if stated is None and measured is None:
         asks.append("the spacing of the particles cannot be seen in so few: give spacing=…")
-    return stated or seen
+    return stated or measured
 
 
 def seen_spacing(sample: Sample) -> float | None:
     """Return the edge of the cube that a particle has to itself, or the distance to the next where there are few."""
-    found = []
+    spacings = []
     for start in sample.starts:
         if len(start) < 2:
             continue
         queries = np.unique(np.linspace(0, len(start) - 1, 300).round().astype(int))
         nearest = float(np.median(nearest_distance(start, queries)))
         inside = interior_spacing(start, sample.lower, sample.upper, queries, margin=0.0)
-        found.append(inside if math.isfinite(inside) and inside > 0 else nearest)
-    return float(f"{np.median(found):.4g}") if found and np.median(found) > 0 else None
+        spacings.append(inside if math.isfinite(inside) and inside > 0 else nearest)
+    return float(f"{np.median(spacings):.4g}") if spacings and np.median(spacings) > 0 else None
 
 
 def listed(values: Iterable[float], extent: float) -> list[float]:
@@ -225,7 +229,7 @@ def box_findings(
     notes = []
     try:
         for own, recordings in sample.by_box(given).items():
-            frames = [moved for each in recordings for moved in (each.start[None], *each.windows)]
+            frames = [moved for recording in recordings for moved in (recording.start[None], *recording.windows)]
             notes.append(check_inside(frames, own[0] or lower, own[1] or upper, margin=spacing))
     except InputError as error:
         between = f"{listed(sample.lower, sample.extent)} and {listed(sample.upper, sample.extent)}"

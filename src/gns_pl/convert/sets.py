@@ -35,24 +35,24 @@ from gns_pl.scene import FACES
 
 def write_set(
     folder: Path,
-    found: ForeignSet,
+    source: ForeignSet,
     items: Sequence[Item],
     facts: Facts,
     assumed: Assumed,
     *,
     name: str,
-    told: Callable[[str], None],
+    on_done: Callable[[str], None],
 ) -> None:
     """Write a data set; a trajectory that is there already is kept.
 
     Args:
         folder: it goes into.
-        found: the source.
+        source: the source.
         items: its recordings.
         facts: units and axes.
         assumed: what the source does not say.
         name: of the data set.
-        told: called with the name of every recording that is done.
+        on_done: called with the name of every recording that is done.
 
     Raises:
         InputError: a recording that cannot be used.
@@ -61,32 +61,34 @@ def write_set(
     for item in items:
         path = folder / f"{item.name}.h5"
         if not path.is_file():
-            _write(path, found, item, facts, assumed)
-        told(item.source)
-    write_manifest(folder, _manifest(folder, found, items, facts, assumed, name))
+            _write(path, source, item, facts, assumed)
+        on_done(item.source)
+    write_manifest(folder, _manifest(folder, source, items, facts, assumed, name))
 
 
-def _write(path: Path, found: ForeignSet, item: Item, facts: Facts, assumed: Assumed) -> None:
-    with found.recording(item.number) as recording:
+def _write(path: Path, source: ForeignSet, item: Item, facts: Facts, assumed: Assumed) -> None:
+    with source.recording(item.number) as recording:
         own = facts.of(recording.stated)
-        start = start_of(recording, own, assumed, found.stated, item.name)
+        start = start_of(recording, own, assumed, source.stated, item.name)
         stream = TrajectoryStream(path, start)
         try:
             for block in si_blocks(recording, own):
                 stream.append(block)
-            made: dict[str, object] = {
-                "solver": f"imported from {found.kind}",
+            provenance: dict[str, object] = {
+                "solver": f"imported from {source.kind}",
                 "source": item.source,
                 "notes": list(recording.notes),
             }
-            stream.finish({**made, "original": dict(recording.provenance)} if recording.provenance else made)
+            stream.finish(
+                {**provenance, "original": dict(recording.provenance)} if recording.provenance else provenance
+            )
         finally:
             stream.close()
             stream.growing.unlink(missing_ok=True)
 
 
 def _manifest(
-    folder: Path, found: ForeignSet, items: Sequence[Item], facts: Facts, assumed: Assumed, name: str
+    folder: Path, source: ForeignSet, items: Sequence[Item], facts: Facts, assumed: Assumed, name: str
 ) -> Manifest:
     files: dict[str, FileRecord] = {}
     types: set[int] = set()
@@ -97,7 +99,7 @@ def _manifest(
         header, static = read_header(path), read_static(path)
         if not math.isclose(header.dt, facts.dt, rel_tol=1e-9):
             raise InputError(
-                f"{found.path}: frames are {facts.dt:g} s apart in some trajectories and {header.dt:g} s in "
+                f"{source.path}: frames are {facts.dt:g} s apart in some trajectories and {header.dt:g} s in "
                 f"{item.source}, and a set has one time step; convert these apart, file by file, or say dt=…"
             )
         files[path.name] = FileRecord(file_sha256(path), header.num_frames, header.num_particles)
@@ -107,7 +109,7 @@ def _manifest(
             for quantity, seen in _measured(path, header, static).items():
                 statistics[quantity].merge(seen)
     if len(features) > 1:
-        raise InputError(f"{found.path}: some trajectories have material values and some have none.")
+        raise InputError(f"{source.path}: some trajectories have material values and some have none.")
     return Manifest(
         format_version=MANIFEST_VERSION,
         name=name,
@@ -119,8 +121,8 @@ def _manifest(
         splits={split: tuple(f"{item.name}.h5" for item in items if item.split == split) for split in SPLITS},
         files=files,
         statistics={quantity: seen.to_dict() for quantity, seen in statistics.items()},
-        seed=found.stated.metadata["seed"] if found.kind == OURS else 0,
-        spec=imported_spec(found, facts, assumed, name),
+        seed=source.stated.metadata["seed"] if source.kind == OURS else 0,
+        spec=imported_spec(source, facts, assumed, name),
     )
 
 
@@ -138,22 +140,22 @@ def advised_radius_of(manifest: Manifest) -> float:
     return float(stated) if stated and stated >= manifest.spacing else advised_radius(manifest.spacing)
 
 
-def imported_spec(found: ForeignSet, facts: Facts, assumed: Assumed, name: str) -> dict[str, Any]:
+def imported_spec(source: ForeignSet, facts: Facts, assumed: Assumed, name: str) -> dict[str, Any]:
     """Return what stands in the place of a generation's specification: where it came from, and what was made of it.
 
     A set of ours keeps its material and walls, and unit, axes, origin and types lead on to where it came from itself.
     """
-    before: dict[str, Any] = found.stated.metadata["spec"] if found.kind == OURS else {}
+    before: dict[str, Any] = source.stated.metadata["spec"] if source.kind == OURS else {}
     earlier: dict[str, Any] = before.get("imported", {})
-    axes, radius = earlier.get("axes", range(facts.dim)), found.stated.radius
+    axes, radius = earlier.get("axes", range(facts.dim)), source.stated.radius
     walls = before.get("walls", {face: dict(assumed.wall) for face in FACES[facts.dim]})
-    clip = found.stated.metadata.get("boundary_augment", earlier.get("boundary_augment"))
+    clip = source.stated.metadata.get("boundary_augment", earlier.get("boundary_augment"))
     imported = {
-        "format": found.kind,
+        "format": source.kind,
         "gns_pl": gns_pl.__version__,
         "scale": facts.scale * earlier.get("scale", 1.0),
         "axes": [axes[axis] for axis in facts.axes],
-        "origin": list(facts.origin_on_map(found.stated.origin)),
+        "origin": list(facts.origin_on_map(source.stated.origin)),
         "types": {**earlier.get("types", {}), **{str(key): value for key, value in facts.types.items()}},
         "connectivity_radius": None if radius is None else radius * facts.scale,
         "notes": [*earlier.get("notes", ()), *facts.notes],
@@ -163,6 +165,6 @@ def imported_spec(found: ForeignSet, facts: Facts, assumed: Assumed, name: str) 
         "name": name,
         "imported": {**imported, "specification": before} if before else imported,
         "gravity": 0.0 - facts.gravity[-1],
-        "material": before.get("material", dict(assumed.plain(found.stated))),
+        "material": before.get("material", dict(assumed.plain(source.stated))),
         "walls": turned_faces(walls, facts.axes),
     }

@@ -135,17 +135,17 @@ class TrajectoryDataModule(LightningDataModule):
         Raises:
             InputError: one that is missing, cannot be read or has obstacles; or none that is long enough.
         """
-        kept = []
+        usable = []
         for name in self.manifest.splits["valid"]:
             path = self.directory / name
             first = read_trajectory(path, num_frames=1)
             if first.scene.obstacles:
                 raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
             if read_header(path).num_frames > self.stride:
-                kept.append(name)
-        self.valid_names, listed = tuple(kept), self.manifest.splits["valid"]
-        short = [name for name in listed if name not in kept]
-        if short and not kept:
+                usable.append(name)
+        self.valid_names, listed = tuple(usable), self.manifest.splits["valid"]
+        short = [name for name in listed if name not in usable]
+        if short and not usable:
             raise InputError(
                 f"{self.directory}: no validation trajectory has the {self.stride + 1} frames of a step ({short[0]} "
                 f"has {self.manifest.files[short[0]].num_frames}); hold longer ones out, or train without a "
@@ -190,7 +190,7 @@ class TrajectoryDataModule(LightningDataModule):
             radius: connectivity radius of the model [m].
         """
         names = self.train_names, self.manifest.splits["valid"]
-        train, valid = ([self.directory / name for name in each] for each in names)
+        train, valid = ([self.directory / name for name in split] for split in names)
         check_set(train, valid, radius=radius, spacing=self.manifest.spacing)
 
     def train_dataloader(self) -> DataLoader:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gns_pl.data.probes import neighbour_counts
+from gns_pl.data.estimators import neighbour_counts
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.graph.radius import advised_radius
@@ -71,7 +71,7 @@ class OutsideCounter:
         self.least = np.minimum(self.least, position.min(axis=(0, 1)))
         self.largest = np.maximum(self.largest, position.max(axis=(0, 1)))
 
-    def sentence(self) -> str:
+    def message(self) -> str:
         """Return how many are outside where most are, in words; empty if none is."""
         number, among = self.worst
         if not number:
@@ -85,7 +85,7 @@ class OutsideCounter:
     def check(self) -> None:
         """Raise an `InputError` where more than stragglers are outside."""
         if self.outside > OUTSIDE * self.seen:
-            raise InputError(self.sentence())
+            raise InputError(self.message())
 
 
 def check_inside(
@@ -103,10 +103,10 @@ def check_inside(
         InputError: more than stragglers; a clause that leaves naming the source to the caller.
     """
     inside = OutsideCounter(lower, upper, margin)
-    for each in frames:
-        inside.count(each)
+    for positions in frames:
+        inside.count(positions)
     inside.check()
-    return inside.sentence()
+    return inside.message()
 
 
 def check_neighbours(mean: float, *, radius: float, spacing: float) -> None:

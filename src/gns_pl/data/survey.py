@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gns_pl.data import probes
-from gns_pl.data.findings import (
+from gns_pl.data import estimators
+from gns_pl.data.survey_record import (
     IMPACT_SHARE,
     MOVING_SHARE,
     SPACINGS,
     SPEED_AT_REST,
+    DataErrors,
     Density,
-    Faults,
     Motion,
     Sizes,
     Starts,
@@ -158,14 +158,14 @@ class _Sample:
         lower, upper = np.array(header.scene.lower), np.array(header.scene.upper)
         queries = self._choose(moved, MAX_QUERIES)
         spacings = [
-            probes.interior_spacing(frame, lower, upper, queries, margin=3 * self.manifest.spacing)
+            estimators.interior_spacing(frame, lower, upper, queries, margin=3 * self.manifest.spacing)
             for frame in (first, end[1])
         ]
         speed = np.linalg.norm(end[1, moved] - end[0, moved], axis=1) / header.dt
         self._note(
             interior=spacings[0],
             density=(spacings[0] / spacings[1]) ** header.dim,
-            nearest_start=probes.nearest_distance(first, queries),
+            nearest_start=estimators.nearest_distance(first, queries),
             moving_at_end=float((speed > SPEED_AT_REST).mean()),
         )
 
@@ -186,8 +186,8 @@ class _Sample:
             step=size,
             largest=float(np.linalg.norm(window[2, moved] - window[1, moved], axis=1).max()),
             moving=moving,
-            nearest=probes.nearest_distance(window[2], queries),
-            counts=probes.neighbour_counts(window[2], radii, queries),
+            nearest=estimators.nearest_distance(window[2], queries),
+            counts=estimators.neighbour_counts(window[2], radii, queries),
         )
         if whole:  # the ballistic past knows no gravity
             self._note(flight=acceleration[1], before=acceleration[0])
@@ -205,7 +205,7 @@ class _Sample:
             starts=self._starts(),
             density=self._density(),
             motion=self._motion(),
-            faults=Faults(
+            data_errors=DataErrors(
                 not_finite=tuple(self.bad),
                 outside=float(np.mean(self.outside)),
                 extent=self.extent,
@@ -262,7 +262,7 @@ class _Sample:
         rounding = 1.5 * float(np.spacing(np.float32(self.extent))) / self.manifest.dt**2
         gravity, falling = float("nan"), np.zeros(0, dtype=bool)
         if "flight" in self.seen:
-            gravity, falling = probes.measure_gravity(self._pool("flight"), self._pool("before"), rounding)
+            gravity, falling = estimators.measure_gravity(self._pool("flight"), self._pool("before"), rounding)
         percentiles = [float(value) for value in np.percentile(step, [50, 99, 99.9])]
         return Motion(
             dt=self.manifest.dt,
@@ -275,7 +275,7 @@ class _Sample:
             moving_at_end=float(np.mean(self.seen["moving_at_end"])),
             setting_out=float(np.mean(self.seen["setting_out"])),
             free_fall=float(falling.mean()) if len(falling) else 0.0,
-            impacts=probes.top_share(np.square(target).sum(axis=1), IMPACT_SHARE),
+            impacts=estimators.top_share(np.square(target).sum(axis=1), IMPACT_SHARE),
             gravity=gravity,
             gravity_stated=float(np.median([np.linalg.norm(header.scene.gravity) for header in self.headers.values()])),
         )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 from torch_geometric.data import Data
 
-from gns_pl.data.findings import MOVING_SHARE, SPEED_AT_REST
+from gns_pl.data.survey_record import MOVING_SHARE, SPEED_AT_REST
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_trajectory, read_window
@@ -92,7 +92,7 @@ class WindowDataset(Dataset[Data]):
         return len(self.index)
 
     def __getitem__(self, drawn: int | tuple[int, int]) -> Data:
-        """Return a PyG `Data`: `position` [N, H + U, D], the fields of `graph.Static` for one scene, and `number` [1].
+        """Return a PyG `Data`: `position` [N, H + U, D], the fields of a `SceneBatch` of one scene, `number` [1].
 
         Args:
             drawn: index of the window, and the number it has in a training (`StepSampler`); without one, that is 0.

@@ -76,9 +76,9 @@ def ensemble_bands(
     for stepper in steppers:
         dt = stepper.config.dt
         for start in starts:
-            made = rollout(stepper, start, int(np.ceil(duration / dt - 1e-6)))
-            failed = "failed_at" in made.provenance
-            made = made if dt == interval else made.resampled(interval, None if failed else duration)
-            values = compute_curves(made)[name][:number]
+            trajectory = rollout(stepper, start, int(np.ceil(duration / dt - 1e-6)))
+            failed = "failed_at" in trajectory.provenance
+            trajectory = trajectory if dt == interval else trajectory.resampled(interval, None if failed else duration)
+            values = compute_curves(trajectory)[name][:number]
             members.append(np.pad(values, (0, number - len(values)), constant_values=np.nan))
     return Bands(np.arange(number, dtype=np.float64) * interval, np.stack(members))

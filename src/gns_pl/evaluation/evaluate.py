@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError, tolerated
-from gns_pl.evaluation.doors import check_figures, check_space, default_folder, make_folder, named_checkpoints
+from gns_pl.evaluation.checks import check_figures, check_space, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.judge import SceneResult, judge_scene
 from gns_pl.evaluation.scenes import build_scenes, chosen
 from gns_pl.metrics.curves import cut, write_curves
@@ -57,8 +57,8 @@ def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, 
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
     out = (Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)) / label
-    kept = {"cache": Path(settings["cache"]), "stabilise": settings["stabilise"], "root": settings["data"]["root"]}
-    return evaluate_all(checkpoints, out=out, logger=logger, **kept, **evaluation)
+    folders = {"cache": Path(settings["cache"]), "stabilise": settings["stabilise"], "root": settings["data"]["root"]}
+    return evaluate_all(checkpoints, out=out, logger=logger, **folders, **evaluation)
 
 
 def evaluate_all(
@@ -88,7 +88,7 @@ def evaluate_all(
             print(f"\n{name}: {path}")
         documents[name], files[name] = evaluate(path, name=name, out=folders[name], **settings)
     path = page.write_page(out / "report.html", documents, folders)
-    print("Made:", *(file for each in files.values() for file in each), path, sep="\n  ")
+    print("Made:", *(file for paths in files.values() for file in paths), path, sep="\n  ")
     for name, document in documents.items():
         if logger is not None:
             for folder in tracking.log_evaluation(document, [*files[name], path], out=folders[name], **logger):
@@ -189,9 +189,9 @@ def evaluate(
     if split is not None:
         # The frames of other placements are stored nowhere, so there are none with start=frames.
         number = placements if given == 1 else 0
-        found = stored_references(checkpoint, split, placements=number, seed=seed)
-        stored = chosen(found, only, "evaluation.split")
-    built = {key: each.trajectory.scene for key, each in stored.items()}
+        references = stored_references(checkpoint, split, placements=number, seed=seed)
+        stored = chosen(references, only, "evaluation.split")
+    built = {key: reference.trajectory.scene for key, reference in stored.items()}
     if split is None:
         interval, data = config.dt, checkpoint.data
         built = build_scenes(columns, scenes, only=only, domain=domain, duration=duration, interval=interval, data=data)

@@ -36,25 +36,25 @@ def draw(
         Paths of the files.
     """
     from gns_pl.solvers.ood import LIMIT
-    from gns_pl.viz import plot_curves, plot_evolution, plot_familiarity, plot_laws, write_animation
+    from gns_pl.viz import plot_curves, plot_evolution, plot_laws, plot_ood, write_animation
 
     curves = {name: {TITLES[key]: values for key, values in result.curves.items()} for name, result in results.items()}
     bands = {name: {TITLES["learned"]: result.band} for name, result in results.items()}
     files = [out / "runout_height.png", out / "runout_height.pdf", out / "energy.png"]
     plot_curves(curves, ("runout", "height"), files[:2], bands)
     plot_curves(curves, ("energy", "speed"), files[2:], bands)
-    far = {name: result.familiarity for name, result in results.items() if result.familiarity is not None}
+    far = {name: result.ood for name, result in results.items() if result.ood is not None}
     if far:
-        files.append(out / "familiarity.png")
+        files.append(out / "ood.png")
         distances = {
             name: (
-                each.time / characteristic_time(results[name].trajectories["reference"].scene),
-                each.mean,
-                each.share,
+                ood.time / characteristic_time(results[name].trajectories["reference"].scene),
+                ood.mean,
+                ood.share,
             )
-            for name, each in far.items()
+            for name, ood in far.items()
         }
-        plot_familiarity(distances, LIMIT, files[-1])
+        plot_ood(distances, LIMIT, files[-1])
     columns = [result.report for result in results.values() if is_column(result.trajectories["reference"].scene)]
     if len(columns) >= LEAST_COLUMNS:
         files += [out / "laws.png", out / "laws.pdf"]
@@ -111,11 +111,13 @@ def of_columns(reports: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[flo
     return {
         TITLES[key]: [
             (
-                each["aspect_ratio"],
-                each[key]["runout_99"] if each[key]["runout_99"] is not None else nothing,
-                (each["reference_spread"] if key == "reference" else each["placements"]["std"]).get("runout_99", 0.0),
+                report["aspect_ratio"],
+                report[key]["runout_99"] if report[key]["runout_99"] is not None else nothing,
+                (report["reference_spread"] if key == "reference" else report["placements"]["std"]).get(
+                    "runout_99", 0.0
+                ),
             )
-            for each in reports
+            for report in reports
         ]
         for key in TITLES
     }

@@ -32,7 +32,7 @@ class SceneResult:
         curves: the same keys → curves: of all points of the reference, and the mean over the placements.
         failed_at: time of the rollout's first frame that is not finite [s]; None if there is none.
         report: this scene's part of metrics.json.
-        familiarity: how far the rollout was from training; None if the checkpoint does not say what it saw.
+        ood: how far the rollout was from training; None if the checkpoint does not say what it saw.
         band: name of a curve → its range over the placements; empty without placements.
     """
 
@@ -40,7 +40,7 @@ class SceneResult:
     curves: dict[str, Curves]
     failed_at: float | None
     report: dict[str, Any]
-    familiarity: OutOfDistribution | None = None
+    ood: OutOfDistribution | None = None
     band: dict[str, Band] = field(default_factory=dict)
 
 
@@ -112,16 +112,16 @@ def judge_scene(
             "all": reference.complete,
         },
         "failed_at": failed_at,
-        "failure": None if failure is None else failure.sentence,
+        "failure": None if failure is None else failure.message,
         "reference": whole.summary,
         "learned": {quantity.name: flow[quantity.name] for quantity in SUMMARY},
         "no_motion": {quantity.name: still[quantity.name] for quantity in SUMMARY},
-        "familiarity": None
+        "ood": None
         if found is None
         else {
-            "left_at": found.exit_time,
-            "early": found.early_score(characteristic_time(truth.scene)),
-            "sentence": found.message(),
+            "exit_time": found.exit_time,
+            "early_score": found.early_score(characteristic_time(truth.scene)),
+            "message": found.message(),
             "reasons": list(found.reasons),
         },
         "placements": {

@@ -18,7 +18,7 @@ SHARED = (
     ("runout_height", "Runout and height over time; shaded is the range of the placements"),
     ("laws", "Runout beside published laws"),
     ("energy", "Energy and speed"),
-    ("familiarity", "How far each run is from training; above the dashed line it is beyond (docs/trust.md)"),
+    ("ood", "Distance of each run from the training data; above the dashed line it is out of range (docs/trust.md)"),
 )
 """Figures of all scenes together: name of the file, caption."""
 
@@ -98,7 +98,7 @@ def verdict(scene: Mapping[str, Any]) -> str:
     if scene["failed_at"] is not None:
         return f"The rollout failed after {scene['failed_at']:.3g} s: there is nothing to judge."
     if scene.get("failure"):
-        return f"No sand does what this rollout did: {scene['failure']} (docs/stability.md)."
+        return f"The rollout reached an unphysical state: {scene['failure']} (docs/stability.md)."
     if placed["number"] and placed["failed"] == placed["number"]:
         return f"The rollouts of all {placed['number']} placements failed: there is nothing to judge."
     spread = scene["reference_spread"]
@@ -121,31 +121,31 @@ def verdict(scene: Mapping[str, Any]) -> str:
 
 def trust(scene: Mapping[str, Any]) -> str:
     """Return in words whether the run stayed where the network was trained."""
-    found = scene["familiarity"]
-    if found is None:
-        text = "The checkpoint does not say what it saw in training."
-    elif found["sentence"] is None:
-        text = f"Within what was seen in training (distance {found['early']:.2g} until τc)."
+    ood = scene["ood"]
+    if ood is None:
+        text = "The checkpoint holds no training distribution."
+    elif ood["message"] is None:
+        text = f"Within the training distribution (distance {ood['early_score']:.2g} until τc)."
     else:
-        text = f"Beyond what was seen in training: {found['sentence']}."
+        text = f"Outside the training distribution: {ood['message']}."
     return text
 
 
 def provenance(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return where the numbers come from: label, text."""
     checkpoint, run = document["checkpoint"], document["run"]
-    made, model, data = checkpoint["provenance"], checkpoint["model"], checkpoint["data"]
+    origin, model, data = checkpoint["provenance"], checkpoint["model"], checkpoint["data"]
     shape = f"{model['num_message_passing_steps']} message-passing steps, {model['latent_size']} wide"
     shape += (
         f", radius {model['connectivity_radius']:g} m, steps of {model['dt']:.3g} s, spacing {model['spacing']:.3g} m"
     )
     rows = [
-        ("description", str(made.get("description", ""))),
+        ("description", str(origin.get("description", ""))),
         ("network", shape),
-        ("trained for", f"{made['steps']:,} steps" if "steps" in made else ""),
+        ("trained for", f"{origin['steps']:,} steps" if "steps" in origin else ""),
         ("data set", str(data.get("name", ""))),
-        ("hash of the data", str(made.get("manifest_sha256", ""))),
-        ("commit of the training", str(made.get("commit", ""))),
+        ("hash of the data", str(origin.get("manifest_sha256", ""))),
+        ("commit of the training", str(origin.get("commit", ""))),
         ("start", describe_start(model, next(iter(document["scenes"].values()))["given_frames"])),
         ("this evaluation", f"{run['command']}, {run['date']}"),
         ("machine", str(run["machine"])),

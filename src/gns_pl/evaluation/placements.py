@@ -52,11 +52,11 @@ class Placements:
                 values[name].append(errors.get(name, np.nan))
         if not reached:
             return cls(None, {}, values)
-        members = {quantity.name: np.stack([each[quantity.name] for each in reached]) for quantity in CURVES}
-        mean = {name: each.mean(axis=0) for name, each in members.items()}
-        return cls(mean, {name: (each.min(axis=0), each.max(axis=0)) for name, each in members.items()}, values)
+        members = {quantity.name: np.stack([curves[quantity.name] for curves in reached]) for quantity in CURVES}
+        mean = {name: curves.mean(axis=0) for name, curves in members.items()}
+        return cls(mean, {name: (curves.min(axis=0), curves.max(axis=0)) for name, curves in members.items()}, values)
 
     def over(self, statistic: Any) -> dict[str, float]:
         """Return a statistic of every entry over the runs that reached the end; entries that none has are left out."""
-        finite = {name: [value for value in each if np.isfinite(value)] for name, each in self.values.items()}
-        return {name: float(statistic(each)) for name, each in finite.items() if each}
+        finite = {name: [value for value in numbers if np.isfinite(value)] for name, numbers in self.values.items()}
+        return {name: float(statistic(numbers)) for name, numbers in finite.items() if numbers}

@@ -95,14 +95,14 @@ def reference_of(
 
     whole = Measured(solved(scene, seed))
     others = [solved(scene, seed, size) for size in cells]
-    kept, seeds = thinned(whole.trajectory, seed), range(seed, seed + placements)
+    stored, seeds = thinned(whole.trajectory, seed), range(seed, seed + placements)
     if given > 1:
         brief = scene.replace(duration=(given - 1) * interval)
         starts = [replace(thinned(solved(brief, number), number), scene=scene) for number in seeds]
     else:
         starts = [LearnedSolver.of(checkpoint).start(scene, number) for number in seeds]
-    spread = resolution_spread(whole, others, particle_spacing(kept))
-    return Reference(kept, whole, True, tuple(starts), spread, tuple(cells))
+    spread = resolution_spread(whole, others, particle_spacing(stored))
+    return Reference(stored, whole, True, tuple(starts), spread, tuple(cells))
 
 
 def resolution_spread(reference: Measured, others: Sequence[Trajectory], spacing: float) -> dict[str, float]:

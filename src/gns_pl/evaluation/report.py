@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from gns_pl import __version__
 from gns_pl.machine import machine_name
+from gns_pl.metrics.curves import Quantity
+from gns_pl.metrics.quantities import COMPARISONS, SUMMARY
 from gns_pl.text import number, percent, without_nan
 
 if TYPE_CHECKING:
@@ -21,24 +23,20 @@ if TYPE_CHECKING:
 FORMAT = "gns_pl evaluation"
 FORMAT_VERSION = 3
 
-ROWS: tuple[tuple[str, str, str], ...] = (
-    ("runout, 99 % of the mass [L0]", "runout_99", "runout_99_error"),
-    ("runout, 99.5 % [L0]", "runout_995", "runout_995_error"),
-    ("runout, maximum [L0]", "runout_max", "runout_max_error"),
-    ("height, 99 % [L0]", "height_99", "height_99_error"),
-    ("height, maximum [L0]", "height_max", "height_max_error"),
-    ("mean height [m]", "mean_height", "mean_height_error"),
-    ("front at rest [τc]", "arrest_time", ""),
-    ("peak kinetic energy [J]", "kinetic_energy_peak", "kinetic_energy_peak_error"),
-    ("final mean speed [m/s]", "speed_mean", ""),
-    ("deepest penetration [spacing]", "penetration_max", ""),
-    ("nearest other, 1 % [spacing]", "spacing_1", ""),
-    ("solid fraction inside", "density", ""),
+
+def _label(label: str, quantity: Quantity) -> str:
+    return label if quantity.unit == "1" else f"{label} [{quantity.unit}]"
+
+
+ROWS: tuple[tuple[str, str, str], ...] = tuple(
+    (_label(metric.label, metric), metric.name, f"{metric.name}_error" if metric.error else "")
+    for metric in SUMMARY
+    if metric.label
 )
 """Rows of a table: label, key of the summary, key of its relative error if it has one."""
 
 ERROR_ROWS: tuple[tuple[str, str], ...] = (
-    ("deposit profile, L1 over area", "profile_l1"),
+    *((_label(entry.label, entry), entry.name) for entry in COMPARISONS if entry.label),
     ("MSE of 1 step [m²]", "mse_1"),
     ("MSE of 20 steps [m²]", "mse_20"),
     ("MSE of all steps [m²]", "mse_end"),
@@ -134,7 +132,7 @@ def describe(scene: Mapping[str, Any]) -> str:
     if scene["failed_at"] is not None:
         text += f" **The rollout failed: positions are not finite from t = {scene['failed_at']:.4g} s on.**"
     elif scene["failure"] is not None:
-        text += f" **No sand does this: {scene['failure']}.**"
+        text += f" **Unphysical state: {scene['failure']}.**"
     return text
 
 
@@ -156,19 +154,19 @@ def describe_start(model: Mapping[str, Any], given: int) -> str:
 
 def describe_mpm(scene: Mapping[str, Any]) -> str:
     """Return in words how the reference was made, where times were taken, and on which other cells it was run."""
-    made, points = scene["made_by"]["reference"], scene["reference_points"]
-    config, number_of = made.get("config", {}), f"all its {points['number']:,} points"
+    provenance, points = scene["made_by"]["reference"], scene["reference_points"]
+    config, number_of = provenance.get("config", {}), f"all its {points['number']:,} points"
     parts = [number_of if points["all"] else "the stored points alone, whose front is not that of all"]
     if "cell_size" in config:
         per = config["points_per_direction"]
         parts.append(f"cells of {config['cell_size']:.3g} m, {per} points per direction, Courant {config['courant']:g}")
-        parts.append(f"{config['precision']}, steps of {made['time_step']:.2e} s")
-    if "num_threads" in made:
-        parts.append(f"{made['num_threads']} threads of {made.get('machine', 'an unknown machine')}")
-    solver = str(made.get("solver", ""))
+        parts.append(f"{config['precision']}, steps of {provenance['time_step']:.2e} s")
+    if "num_threads" in provenance:
+        parts.append(f"{provenance['num_threads']} threads of {provenance.get('machine', 'an unknown machine')}")
+    solver = str(provenance.get("solver", ""))
     text = f"MPM: {'; '.join(parts)}."
     if solver.startswith("imported"):
-        text = f"Reference: {solver}, {made.get('source', '')}."
+        text = f"Reference: {solver}, {provenance.get('source', '')}."
     learned = scene["made_by"]["learned"]
     here = f"{learned.get('num_threads', '?')} threads of {learned.get('machine', 'an unknown machine')}"
     text += f" Learned: {learned.get('device', 'cpu')}, {here}."

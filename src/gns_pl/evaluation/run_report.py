@@ -15,7 +15,7 @@ from typing import Any
 from gns_pl import __version__
 from gns_pl.errors import InputError
 from gns_pl.evaluation import report
-from gns_pl.evaluation.doors import check_figures, check_space, make_folder
+from gns_pl.evaluation.checks import check_figures, check_space, make_folder
 from gns_pl.evaluation.outcome import Outcome, outcome_of
 from gns_pl.io.atomic import write_atomically
 from gns_pl.metrics.curves import Curves, compute_curves, mobile, write_curves

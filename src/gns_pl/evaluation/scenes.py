@@ -82,13 +82,13 @@ def chosen(
     unknown = [name for name in only or () if name not in scenes]
     if unknown:
         raise InputError(f"{key}: there is no {', '.join(unknown)}; known are {', '.join(scenes)}.")
-    kept = {name: scene for name, scene in scenes.items() if not only or name in only}
-    if not kept:
+    selected = {name: scene for name, scene in scenes.items() if not only or name in only}
+    if not selected:
         raise InputError(f"{what}: there is no scene to evaluate.")
-    for name in kept:
+    for name in selected:
         if not re.fullmatch(r"[\w.-]+", name):
             raise InputError(f"{what}: {name!r} must be a word (letters, digits, . _ -): it names files.")
-    return kept
+    return selected
 
 
 def _column(name: str, spec: Any, domain: Sequence[float], data: Mapping[str, Any]) -> Scene:

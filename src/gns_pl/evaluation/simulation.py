@@ -73,7 +73,7 @@ def compare_with_check(path: Path, tolerance: float | None) -> None:
     if not coarser.is_file():
         return
     fine, coarse = read_outcome(path), read_outcome(coarser)
-    cells = [float(read_header(each).provenance["mpm"]["cell_size"]) for each in (path, coarser)]  # type: ignore[index]
+    cells = [float(read_header(file).provenance["mpm"]["cell_size"]) for file in (path, coarser)]  # type: ignore[index]
     text = f"check: cells of {cells[0]:.3g} m and of {cells[1]:.3g} m give a final runout of {fine.runout:.3g} m and "
     text += f"{coarse.runout:.3g} m, a mean height of {fine.mean_height:.3g} m and {coarse.mean_height:.3g} m"
     if fine.runout > 0:
@@ -99,10 +99,10 @@ def report(path: Path, reporting: Mapping[str, Any]) -> list[Path]:
         reporting: as `run_report.write_report`.
     """
     trajectory = read_trajectory(path)
-    made = trajectory.provenance
-    solver = str(made.get("checkpoint", made.get("solver", "")))
+    provenance = trajectory.provenance
+    solver = str(provenance.get("checkpoint", provenance.get("solver", "")))
     files = write_report(
-        {path.stem: ReportedRun(trajectory, Path(solver).stem if "checkpoint" in made else solver)},
+        {path.stem: ReportedRun(trajectory, Path(solver).stem if "checkpoint" in provenance else solver)},
         path.with_suffix(""),
         **reporting,
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation.doors import default_folder, named_checkpoints
+from gns_pl.evaluation.checks import default_folder, named_checkpoints
 from gns_pl.evaluation.outcome import outcome_of
 from gns_pl.evaluation.references import resolution_spread
 from gns_pl.evaluation.run_report import ReportedRun, check_reporting, report_lines, write_report
@@ -59,8 +59,8 @@ def evaluate_mpm(settings: Mapping[str, Any], label: str = "") -> dict[str, Repo
         data=data,
     )
     solver = MPMSolver("mpm", max(settings["choice"]["cells"]), mpm, cell_size=cell_size)
-    cells = tuple(float(each) for each in evaluation["spread"])
-    if any(not each > 0 for each in cells):
+    cells = tuple(float(size) for size in evaluation["spread"])
+    if any(not size > 0 for size in cells):
         raise InputError(
             f"evaluation.spread: sizes of cells over those of the run must be positive, not {list(cells)}."
         )
@@ -103,12 +103,12 @@ def _run(
     reduction, settings = solver.reduced(scene), solver.settings_of(scene)
     words = f"; {reduction.description}" if reduction.description else ""
     print(f"{scene.name}: MPM on cells of {settings['cell_size']:.3g} m{words} …", flush=True)
-    made = []
+    runs = []
     for size in (1.0, *cells):
         other = {**settings, "cell_size": size * settings["cell_size"]}
         run = reference_trajectory(reduction.scene, other, frame_interval=interval, seed=seed, cache_directory=cache)
-        made.append(reduction.lift(run))
-    fine, *others = made
+        runs.append(reduction.lift(run))
+    fine, *others = runs
     return ReportedRun(fine, "MPM", resolution_spread(Measured(fine), others, fine.spacing), tuple(cells))
 
 
@@ -118,6 +118,6 @@ def _spread_lines(run: ReportedRun) -> list[str]:
     from gns_pl.scene.extent import initial_extent
 
     length, _ = initial_extent(run.trajectory.scene)
-    sizes = " and ".join(f"{each:g}" for each in run.cells)
+    sizes = " and ".join(f"{size:g}" for size in run.cells)
     text = f"runout by {run.spread['runout_99'] * length:.3g} m, mean height by {run.spread['mean_height']:.3g} m"
     return report_lines([("other cells", f"{sizes} times as large change the {text}")])

@@ -56,16 +56,16 @@ def measure_speed(
     start = reference.trajectory
     seconds = []
     for _ in range(RUNS + 1):  # the first warms up
-        made = solver.run(start, num_steps=start.num_frames - given, given=given, monitor=False)
-        seconds.append(float(made.provenance["wall_seconds"]))  # type: ignore[arg-type]
-    found: dict[str, Any] = {
+        trajectory = solver.run(start, num_steps=start.num_frames - given, given=given, monitor=False)
+        seconds.append(float(trajectory.provenance["wall_seconds"]))  # type: ignore[arg-type]
+    report: dict[str, Any] = {
         "learned": {
             "seconds": statistics.median(seconds[1:]),
             "error": root_mean_square(known),
-            "device": made.provenance["device"],
-            "num_threads": made.provenance["num_threads"],
+            "device": trajectory.provenance["device"],
+            "num_threads": trajectory.provenance["num_threads"],
         },
-        "machine": made.provenance["machine"],
+        "machine": trajectory.provenance["machine"],
         "mpm": [],
         "as_accurate": None,
     }
@@ -82,7 +82,7 @@ def measure_speed(
                 missed.append(Measured(cut(run, frames)).curves["runout_99"][-1] / truth - 1)
         except SimulationError:
             continue
-        found["mpm"].append(
+        report["mpm"].append(
             {
                 "cell_size": size * mpm["cell_size"],
                 "seconds": statistics.median(times),
@@ -90,10 +90,10 @@ def measure_speed(
                 "num_threads": run.provenance.get("num_threads"),
             }
         )
-        if found["mpm"][-1]["error"] <= found["learned"]["error"]:
-            found["as_accurate"] = found["mpm"][-1]
+        if report["mpm"][-1]["error"] <= report["learned"]["error"]:
+            report["as_accurate"] = report["mpm"][-1]
             break
-    return found
+    return report
 
 
 def root_mean_square(values: Sequence[float]) -> float:

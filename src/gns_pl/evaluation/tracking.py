@@ -47,9 +47,7 @@ def log_evaluation(
             run.summary.update({f"{name}/errors/{key}": value for key, value in errors.items()})
             run.summary.update({f"{name}/std/{key}": value for key, value in scene["placements"]["std"].items()})
             run.summary.update({f"{name}/failed_at": scene["failed_at"]})
-            run.summary.update(
-                {f"{name}/familiarity/{key}": value for key, value in (scene["familiarity"] or {}).items()}
-            )
+            run.summary.update({f"{name}/ood/{key}": value for key, value in (scene["ood"] or {}).items()})
         return Path(run.dir).parent
 
 
@@ -86,11 +84,11 @@ def log_chart(
     import wandb
 
     with started("benchmark", {"command": command}, out=out, offline=offline, project=project, **more) as run:
-        names = [each.name for each in fields(points[0])]
-        table = wandb.Table(columns=names, data=[[_finite(getattr(each, name)) for name in names] for each in points])
+        names = [point.name for point in fields(points[0])]
+        table = wandb.Table(columns=names, data=[[_finite(getattr(point, name)) for name in names] for point in points])
         run.log({"chart": wandb.Image(str(figure), caption=caption), "points": table})
-        for each in points:
-            run.summary.update({f"{each.name}/{key}": _finite(getattr(each, key)) for key in ("seconds", "error")})
+        for point in points:
+            run.summary.update({f"{point.name}/{key}": _finite(getattr(point, key)) for key in ("seconds", "error")})
         return Path(run.dir).parent
 
 

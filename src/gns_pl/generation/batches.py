@@ -8,7 +8,7 @@ from collections.abc import Generator, Mapping, Sequence
 from functools import partial
 
 from gns_pl.generation.pool import Failure, attempt
-from gns_pl.generation.produce import Job, Product, measure_files, produce, store
+from gns_pl.generation.produce import Job, Result, measure_files, produce, store
 from gns_pl.mpm import settings as solver
 
 BATCH_BYTES = 4_000_000_000
@@ -16,7 +16,7 @@ BATCH_BYTES = 4_000_000_000
 fit, which keeps a GPU busy; what the device itself holds, some hundred bytes for each of their points, is far less."""
 
 
-def run_batches(jobs: Sequence[Job]) -> Generator[tuple[int, Product | Failure], None, None]:
+def run_batches(jobs: Sequence[Job]) -> Generator[tuple[int, Result | Failure], None, None]:
     """Make what is missing of every job in batches and yield (index of the job, result or `Failure`), as `run_jobs`.
 
     If a batch fails, its scenes are run one by one, so that only those that cannot be run are lost.
@@ -24,10 +24,10 @@ def run_batches(jobs: Sequence[Job]) -> Generator[tuple[int, Product | Failure],
     Args:
         jobs: with one solver's settings and one frame interval.
     """
-    made = {index for index, job in enumerate(jobs) if job.is_made()}
-    for index in made:
+    finished = {index for index, job in enumerate(jobs) if job.is_made()}
+    for index in finished:
         yield index, attempt(measure_files, jobs[index])
-    sizes = {index: job.num_bytes for index, job in enumerate(jobs) if index not in made}
+    sizes = {index: job.num_bytes for index, job in enumerate(jobs) if index not in finished}
     for batch in group(sizes, BATCH_BYTES):
         scenes, seeds = [jobs[index].scene for index in batch], [jobs[index].seed for index in batch]
         first, start = jobs[batch[0]], time.perf_counter()

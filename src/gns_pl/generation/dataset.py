@@ -20,7 +20,7 @@ from gns_pl.generation import records
 from gns_pl.generation.batches import run_batches
 from gns_pl.generation.families import Planned, draw_plan
 from gns_pl.generation.pool import Failure, run_jobs
-from gns_pl.generation.produce import Job, Measured, Place, Product, produce
+from gns_pl.generation.produce import Job, MeasuredFile, OutputFile, Result, produce
 from gns_pl.generation.progress import GenerationProgress
 from gns_pl.generation.spec import DatasetSpec, chosen_every
 from gns_pl.generation.thinning import stored_counts
@@ -64,10 +64,10 @@ def generate_dataset(
         StorageError: the disk refuses.
     """
     dataset = DatasetSpec.from_dict(spec)
-    place = spec.get("root") if root is None else root
-    if not isinstance(place, str | Path) or not str(place):
+    directory = spec.get("root") if root is None else root
+    if not isinstance(directory, str | Path) or not str(directory):
         raise InputError("data: root must name the folder of the data set.")
-    folder = Path(place)
+    folder = Path(directory)
     wanted = records.stored_folders(folder, dataset)[chosen_every(spec)]
     if records.is_finished(folder, dataset):
         return wanted
@@ -77,9 +77,9 @@ def generate_dataset(
     jobs = [_job(folder, dataset, planned, spacing, device) for planned in plan]
     records.check_folder(folder, dataset)
     records.make_folder(folder)
-    talk = GenerationProgress(dataset.name, {}, 1, enabled=progress)
+    reporter = GenerationProgress(dataset.name, {}, 1, enabled=progress)
     waiting = f"{folder}: another process is generating it; waiting for it."
-    with locked(folder / ".lock", lambda: talk.say(waiting)) as held:
+    with locked(folder / ".lock", lambda: reporter.log(waiting)) as held:
         if not records.is_finished(folder, dataset):
             records.claim_folder(folder, dataset)
             folders = {folder, *records.stored_folders(folder, dataset).values()} if held else ()
@@ -118,9 +118,9 @@ def _job(folder: Path, dataset: DatasetSpec, planned: Planned, spacing: float, d
     num_points, stored = stored_counts(planned.scene, spacing, planned.offsets)
     return Job(
         name=planned.file_name,
-        places=tuple(
-            Place(place / planned.file_name, every, planned.offsets[every], stored[every])
-            for every, place in records.stored_folders(folder, dataset).items()
+        outputs=tuple(
+            OutputFile(directory / planned.file_name, every, planned.offsets[every], stored[every])
+            for every, directory in records.stored_folders(folder, dataset).items()
         ),
         scene=planned.scene,
         num_points=num_points,
@@ -128,7 +128,7 @@ def _job(folder: Path, dataset: DatasetSpec, planned: Planned, spacing: float, d
         frame_interval=dataset.frame_interval,
         seed=planned.seed,
         device=device,
-        provenance={"dataset": dataset.name, "solver_version": solver.solver_version(), "device": device},
+        provenance={"dataset": dataset.name, "solver_version": solver.solver_version(dataset.mpm), "device": device},
     )
 
 
@@ -144,38 +144,38 @@ def _generate(
     order = sorted(jobs, key=lambda job: -work.get(job.name, float("inf")))  # long ones early: no tail
     on_gpu = jobs[0].device == "cuda"
     workers = 1 if on_gpu else max(1, min(num_workers or available_cores(), len(jobs)))
-    products: dict[str, Product] = {}
+    results: dict[str, Result] = {}
     failures: dict[str, Failure] = {}
-    told = GenerationProgress(dataset.name, work, workers, enabled=progress)
-    told.say(_announcement(folder, dataset, jobs, workers))
+    reporter = GenerationProgress(dataset.name, work, workers, enabled=progress)
+    reporter.log(_announcement(folder, dataset, jobs, workers))
     worst = max((job.scene for job in jobs), key=largest_own_weight_strain)
     notice = compression_notice(worst)
     if notice is not None:
-        told.say(f"{notice}.")
+        reporter.log(f"{notice}.")
     _check_space(folder, sum(job.missing_bytes() for job in jobs))
     if work and not on_gpu:  # before the clock starts: every process finds the kernels compiled
         solver.compile_solver(order[-1].scene, dataset.mpm, frame_interval=dataset.frame_interval)
-    with told, closing(run_batches(order) if on_gpu else run_jobs(produce, order, workers)) as outcomes:
+    with reporter, closing(run_batches(order) if on_gpu else run_jobs(produce, order, workers)) as outcomes:
         for index, outcome in outcomes:
             name = order[index].name
             if isinstance(outcome, Failure):
                 failures[name] = outcome
-                told.say(f"{name} failed: {outcome.sentence}")
+                reporter.log(f"{name} failed: {outcome.message}")
                 if outcome.final:
                     break
             else:
-                products[name] = outcome
+                results[name] = outcome
                 if outcome.wall_seconds is not None:
                     records.append_timing(folder, name, outcome.wall_seconds)
             if name in work:
-                told.finish(name)
+                reporter.finish(name)
     stored = records.stored_folders(folder, dataset)
     records.write_failures(folder, failures)
     _raise_failures(folder, failures, len(plan))
-    for every, place in stored.items():
-        files = {name: product.files[every] for name, product in products.items()}
-        write_manifest(place, _manifest(dataset, plan, files, every))
-    told.say(f"{dataset.name}: {len(plan)} trajectories are in {folder}.")
+    for every, directory in stored.items():
+        files = {name: result.files[every] for name, result in results.items()}
+        write_manifest(directory, _manifest(dataset, plan, files, every))
+    reporter.log(f"{dataset.name}: {len(plan)} trajectories are in {folder}.")
 
 
 def _announcement(folder: Path, dataset: DatasetSpec, jobs: Sequence[Job], workers: int) -> str:
@@ -204,23 +204,23 @@ def _check_space(folder: Path, size: float) -> None:
 def _raise_failures(folder: Path, failures: Mapping[str, Failure], total: int) -> None:
     final = [failure for failure in failures.values() if failure.final]
     if final:
-        raise StorageError(final[0].sentence)
+        raise StorageError(final[0].message)
     if failures:
         name, first = next(iter(sorted(failures.items())))
         raise InputError(
             f"{folder}: {len(failures)} of {total} trajectories failed ({', '.join(sorted(failures)[:5])}"
-            f"{', …' if len(failures) > 5 else ''}; {name}: {first.sentence.rstrip('.')}); "
+            f"{', …' if len(failures) > 5 else ''}; {name}: {first.message.rstrip('.')}); "
             f"the others are kept and will not be made again, and failures.log says more."
         )
 
 
-def _manifest(dataset: DatasetSpec, plan: Sequence[Planned], files: Mapping[str, Measured], every: int) -> Manifest:
+def _manifest(dataset: DatasetSpec, plan: Sequence[Planned], files: Mapping[str, MeasuredFile], every: int) -> Manifest:
     dim = plan[0].scene.dim
     statistics = {"velocity": RunningStatistics(dim), "acceleration": RunningStatistics(dim)}
     for planned in plan:  # in the order of the files, so that the sums are always the same
         if planned.split == "train":
-            for quantity, seen in statistics.items():
-                seen.merge(files[planned.file_name].statistics[quantity])
+            for quantity, moments in statistics.items():
+                moments.merge(files[planned.file_name].statistics[quantity])
     return Manifest(
         format_version=MANIFEST_VERSION,
         name=dataset.name,
@@ -231,7 +231,7 @@ def _manifest(dataset: DatasetSpec, plan: Sequence[Planned], files: Mapping[str,
         material_features=files[plan[0].file_name].material_features,
         splits={split: tuple(p.file_name for p in plan if p.split == split) for split in SPLITS},
         files={planned.file_name: files[planned.file_name].record for planned in plan},
-        statistics={quantity: seen.to_dict() for quantity, seen in statistics.items()},
+        statistics={quantity: moments.to_dict() for quantity, moments in statistics.items()},
         seed=dataset.seed,
         spec=json.loads(json.dumps(dataset.to_dict())),
     )

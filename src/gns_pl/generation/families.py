@@ -7,33 +7,18 @@ in the family, and on nothing else: more trajectories, another family or more pr
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from gns_pl.errors import InputError
+from gns_pl.generation.kinds import find_kind
 from gns_pl.generation.spec import FROM_FILES, DatasetSpec, whole_number
 from gns_pl.io import SPLITS
-from gns_pl.scene import (
-    Material,
-    Scene,
-    Wall,
-    part_from_dict,
-    sample_block_release,
-    sample_column_collapse,
-    sample_cube_drop,
-    scene_from_dict,
-)
+from gns_pl.scene import Material, Scene, Wall, part_from_dict, scene_from_dict
 from gns_pl.scene.catalogue import checked_range
-
-KINDS: dict[str, tuple[Callable[..., Scene], tuple[str, ...]]] = {
-    "cube_drop": (sample_cube_drop, ("domain", "side", "speed", "max_drop", "duration")),
-    "block_release": (sample_block_release, ("domain", "length", "aspect_ratio", "at_wall", "duration")),
-    "column_collapse": (sample_column_collapse, ("domain", "length", "aspect_ratio", "duration_tau")),
-}
-"""Kind of family → its sampler in the scene catalogue and the parameters it needs."""
 
 _SCENES, _SPLITS, _OFFSETS = 0, 1, 2  # which of a family's random streams
 
@@ -81,23 +66,19 @@ def _draw_family(spec: DatasetSpec, name: str, first: int) -> list[Planned]:
     kind = family.get("kind", name)
     if kind == FROM_FILES:
         return _given_family(spec, owner, name, first)
-    if kind not in KINDS:
-        kinds = ", ".join([*KINDS, FROM_FILES])
-        raise InputError(f"{owner}: there is no kind {kind!r} of scenes; known are {kinds}.")
-    sampler, needed = KINDS[kind]
+    drawn = find_kind(owner, kind)
     counts = {key: whole_number(owner, key, family.get(key, 0)) for key in ("count", "valid", "test")}
     if counts["valid"] + counts["test"] > counts["count"]:
         raise InputError(f"{owner}: valid and test are part of count and cannot exceed it.")
-    known = {"kind", *counts, *needed, "walls", "material", "friction_angle_deg"}
-    unknown, missing = sorted(set(family) - known), sorted(set(needed) - set(family))
+    shared = {"kind", *counts, "walls", "material", "friction_angle_deg"}
+    known = {*shared, *drawn.needed, *drawn.optional}
+    unknown = sorted(set(family) - known) if drawn.checked else []
+    missing = sorted(set(drawn.needed) - set(family))
     if unknown or missing:
         what = f"unknown key {', '.join(unknown)}" if unknown else f"missing key {', '.join(missing)}"
         raise InputError(f"{owner}: {what}; a {kind} has {', '.join(sorted(known))}.")
-    common = {
-        **{key: family[key] for key in needed},
-        "gravity": spec.gravity,
-        "walls": _walls(owner, family.get("walls", spec.walls)),
-    }
+    own = {key: value for key, value in family.items() if key not in shared}
+    walls = _walls(owner, family.get("walls", spec.walls))
     material = part_from_dict(Material, f"{owner}: material", family.get("material", spec.material))
     angles = family.get("friction_angle_deg")
     if angles is not None:
@@ -110,7 +91,10 @@ def _draw_family(spec: DatasetSpec, name: str, first: int) -> list[Planned]:
         stream, placement, friction = _sequence(spec.seed, name, _SCENES, number).spawn(3)
         if angles is not None:
             material = replace(material, friction_angle_deg=np.random.default_rng(friction).uniform(*angles))
-        scene = sampler(np.random.default_rng(stream), **common, material=material, name=f"{name}_{number:04d}")
+        common = {"gravity": spec.gravity, "walls": walls, "material": material, "name": f"{name}_{number:04d}"}
+        taken = {key: common[key] for key in drawn.common}
+        scene = drawn.sampler(np.random.default_rng(stream), **own, **taken)
+        _check_scene(spec, owner, scene)
         planned.append(_planned(spec, name, number, first, splits[number], scene, placement))
     return planned
 
@@ -136,16 +120,9 @@ def _given_family(spec: DatasetSpec, owner: str, name: str, first: int) -> list[
     if unknown or FROM_FILES not in family:
         what = f"unknown key {', '.join(unknown)}" if unknown else "missing key files"
         raise InputError(f"{owner}: {what}; a family of scenes has files, placements, valid, test.")
-    scenes = [scene_from_dict(each) for each in family[FROM_FILES]]
+    scenes = [scene_from_dict(content) for content in family[FROM_FILES]]
     for scene in scenes:
-        downwards = (0.0,) * (scene.dim - 1) + (-float(spec.gravity),)
-        if not np.allclose(scene.gravity, downwards, rtol=1e-9, atol=0):
-            raise InputError(
-                f"{owner}: scene {scene.name!r} has the gravity {list(scene.gravity)}, and the data set "
-                f"{list(downwards)}; set data.gravity, or change the scene."
-            )
-        if scene.obstacles:
-            raise InputError(f"{owner}: scene {scene.name!r} has obstacles, and a learned simulator knows none yet.")
+        _check_scene(spec, owner, scene)
     placements = whole_number(owner, "placements", family.get("placements", 1))
     counts = {key: whole_number(owner, key, family.get(key, 0)) for key in ("valid", "test")}
     count = len(scenes) * placements
@@ -159,6 +136,18 @@ def _given_family(spec: DatasetSpec, owner: str, name: str, first: int) -> list[
         scene = scene.replace(name=f"{scene.name}_{number // len(scenes):04d}") if placements > 1 else scene
         planned.append(_planned(spec, name, number, first, splits[number], scene, placement))
     return planned
+
+
+def _check_scene(spec: DatasetSpec, owner: str, scene: Scene) -> None:
+    """Refuse what no learned simulator can be trained on, and another gravity than the data set's."""
+    downwards = (0.0,) * (scene.dim - 1) + (-float(spec.gravity),)
+    if not np.allclose(scene.gravity, downwards, rtol=1e-9, atol=0):
+        raise InputError(
+            f"{owner}: scene {scene.name!r} has the gravity {list(scene.gravity)}, and the data set "
+            f"{list(downwards)}; set data.gravity, or change the scene."
+        )
+    if scene.obstacles:
+        raise InputError(f"{owner}: scene {scene.name!r} has obstacles, and a learned simulator knows none yet.")
 
 
 def _offset(seed: int, family: str, number: int, every: int, dim: int) -> tuple[int, ...]:

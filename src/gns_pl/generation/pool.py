@@ -29,12 +29,12 @@ class Failure:
     """Why a job has no result.
 
     Attributes:
-        sentence: for the user.
-        details: traceback, for whoever mends it; "" where the sentence says all.
+        message: for the user.
+        details: traceback, for whoever mends it; "" where the message says all.
         final: nothing else can succeed either; a full disk.
     """
 
-    sentence: str
+    message: str
     details: str = ""
     final: bool = False
 

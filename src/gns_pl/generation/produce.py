@@ -26,7 +26,7 @@ from gns_pl.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Place:
+class OutputFile:
     """A file, and which part of the simulation it holds.
 
     Attributes:
@@ -48,7 +48,7 @@ class Job:
 
     Attributes:
         name: of the files.
-        places: the files.
+        outputs: the files.
         scene: what to simulate.
         num_points: that are simulated.
         mpm: settings of the solver.
@@ -59,7 +59,7 @@ class Job:
     """
 
     name: str
-    places: tuple[Place, ...]
+    outputs: tuple[OutputFile, ...]
     scene: Scene
     num_points: int
     mpm: Mapping[str, Any]
@@ -70,7 +70,7 @@ class Job:
 
     def is_made(self) -> bool:
         """Return whether all files are there."""
-        return all(place.path.exists() for place in self.places)
+        return all(output.path.exists() for output in self.outputs)
 
     @property
     def bytes_per_point(self) -> int:
@@ -84,11 +84,11 @@ class Job:
 
     def missing_bytes(self) -> int:
         """Return the positions in the files that are not there [bytes]."""
-        return self.bytes_per_point * sum(place.num_points for place in self.places if not place.path.exists())
+        return self.bytes_per_point * sum(output.num_points for output in self.outputs if not output.path.exists())
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredFile:
     """What the manifest wants to know of a file.
 
     Attributes:
@@ -105,7 +105,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Product:
+class Result:
     """The finished files of a simulation.
 
     Attributes:
@@ -113,11 +113,11 @@ class Product:
         wall_seconds: that the solver took, or None if the files were there.
     """
 
-    files: Mapping[int, Measured]
+    files: Mapping[int, MeasuredFile]
     wall_seconds: float | None
 
 
-def produce(job: Job) -> Product:
+def produce(job: Job) -> Result:
     """Make sure that the files of `job` are there, and measure them.
 
     The whole simulation is in memory until it is written: 4 D bytes per point and frame.
@@ -136,7 +136,7 @@ def produce(job: Job) -> Product:
     return store(job, trajectory, time.perf_counter() - start)
 
 
-def store(job: Job, trajectory: Trajectory, wall_seconds: float) -> Product:
+def store(job: Job, trajectory: Trajectory, wall_seconds: float) -> Result:
     """Write those files of `job` that are not there, and measure all.
 
     A file is the same bytes whenever it is made on a CPU, so it does not matter if a killed run has left some of them.
@@ -151,32 +151,32 @@ def store(job: Job, trajectory: Trajectory, wall_seconds: float) -> Product:
         InputError: a file that holds something else.
         StorageError: the disk refuses.
     """
-    for place in job.places:
-        if not place.path.exists():
-            kept = thin_trajectory(trajectory, job.mpm, job.seed, place.every, place.offset)
-            write_trajectory(place.path, replace(kept, provenance={**kept.provenance, **job.provenance}))
+    for output in job.outputs:
+        if not output.path.exists():
+            thinned = thin_trajectory(trajectory, job.mpm, job.seed, output.every, output.offset)
+            write_trajectory(output.path, replace(thinned, provenance={**thinned.provenance, **job.provenance}))
     return measure_files(job, wall_seconds)
 
 
-def measure_files(job: Job, wall_seconds: float | None = None) -> Product:
+def measure_files(job: Job, wall_seconds: float | None = None) -> Result:
     """Check and measure the files of `job`.
 
     Raises:
         InputError: a file that holds something else.
     """
-    return Product({place.every: _measure_file(place, job) for place in job.places}, wall_seconds)
+    return Result({output.every: _measure_file(output, job) for output in job.outputs}, wall_seconds)
 
 
-def _measure_file(place: Place, job: Job) -> Measured:
-    header, static = read_header(place.path), read_static(place.path)
+def _measure_file(output: OutputFile, job: Job) -> MeasuredFile:
+    header, static = read_header(output.path), read_static(output.path)
     if header.scene != job.scene or header.dt != job.frame_interval:
-        raise InputError(f"{place.path}: holds another scene than this data set has there; move it away.")
-    lattice = (header.provenance.get("every", 1), header.provenance.get("offset", list(place.offset)))
-    if lattice != (place.every, list(place.offset)):
-        raise InputError(f"{place.path}: holds other points than this data set has there; move it away.")
-    return Measured(
-        record=FileRecord(file_sha256(place.path), header.num_frames, header.num_particles),
+        raise InputError(f"{output.path}: holds another scene than this data set has there; move it away.")
+    lattice = (header.provenance.get("every", 1), header.provenance.get("offset", list(output.offset)))
+    if lattice != (output.every, list(output.offset)):
+        raise InputError(f"{output.path}: holds other points than this data set has there; move it away.")
+    return MeasuredFile(
+        record=FileRecord(file_sha256(output.path), header.num_frames, header.num_particles),
         particle_types=tuple(int(kind) for kind in np.unique(static["particle_type"])),
         material_features=header.material_features,
-        statistics=measure_motion(place.path, header, static["initial_velocity"]),
+        statistics=measure_motion(output.path, header, static["initial_velocity"]),
     )

@@ -62,10 +62,10 @@ class GenerationProgress:
     ) -> None:
         self._bar.stop()
 
-    def say(self, sentence: str) -> None:
+    def log(self, message: str) -> None:
         """Print a line."""
         if self._enabled:
-            self._console.print(sentence, markup=False)
+            self._console.print(message, markup=False)
 
     def finish(self, file_name: str) -> None:
         """Count a simulated file, failed or not."""
@@ -80,14 +80,14 @@ class GenerationProgress:
         first, self._estimate = self._estimate is None, (now, seconds)
         if first or (not self._console.is_terminal and now - self._last_line > LINE_INTERVAL):
             self._last_line = now
-            self.say(f"{self._name}: {left} trajectories left, about {readable_time(seconds)}.")
+            self.log(f"{self._name}: {left} trajectories left, about {readable_time(seconds)}.")
 
     def time_left(self) -> float | None:
         """Return the time left [s], None if it is not known yet."""
         if self._estimate is None:
             return None
-        told, seconds = self._estimate
-        return max(0.0, seconds - (time.monotonic() - told))
+        since, seconds = self._estimate
+        return max(0.0, seconds - (time.monotonic() - since))
 
 
 class _TimeLeft(ProgressColumn):

@@ -64,9 +64,10 @@ def check_folder(folder: Path, dataset: DatasetSpec) -> None:
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path}: is damaged or not of gns_pl.") from error
     _check_same(folder, spec, dataset)
-    if version != solver_version():
+    here = solver_version(dataset.mpm)
+    if version != here:
         raise InputError(
-            f"{folder}: was begun with another version of the solver ({version}, this is {solver_version()}); "
+            f"{folder}: was begun with another version of the solver ({version}, this is {here}); "
             f"remove the folder, or choose another one."
         )
 
@@ -82,7 +83,7 @@ def claim_folder(folder: Path, dataset: DatasetSpec) -> None:
     """
     check_folder(folder, dataset)
     if not (folder / BEGUN_NAME).exists():
-        text = json.dumps({"solver_version": solver_version(), "spec": dataset.to_dict()}, indent=1) + "\n"
+        text = json.dumps({"solver_version": solver_version(dataset.mpm), "spec": dataset.to_dict()}, indent=1) + "\n"
         write_atomically(folder / BEGUN_NAME, text.encode())
     for stored in stored_folders(folder, dataset).values():
         make_folder(stored)
@@ -122,7 +123,10 @@ def read_timings(folder: Path) -> float | None:
     Args:
         folder: of the set, or of one of its stored lattices; one that was copied without its timings gives None.
     """
-    path = next((each / TIMINGS_NAME for each in (folder, folder.parent) if (each / TIMINGS_NAME).is_file()), None)
+    path = next(
+        (directory / TIMINGS_NAME for directory in (folder, folder.parent) if (directory / TIMINGS_NAME).is_file()),
+        None,
+    )
     if path is None:
         return None
     try:
@@ -138,7 +142,7 @@ def write_failures(folder: Path, failures: Mapping[str, Failure]) -> None:
     if not failures:
         path.unlink(missing_ok=True)
     elif not any(failure.final for failure in failures.values()):
-        text = "\n".join(f"{name}: {failure.sentence}\n{failure.details}" for name, failure in failures.items())
+        text = "\n".join(f"{name}: {failure.message}\n{failure.details}" for name, failure in failures.items())
         write_atomically(path, text.encode())
 
 

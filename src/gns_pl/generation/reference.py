@@ -60,7 +60,7 @@ def reference_trajectory(
         "mpm": settings,
         "frame_interval": frame_interval,
         "seed": seed,
-        "solver_version": solver.solver_version(),
+        "solver_version": solver.solver_version(settings),
     }
     key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
     directory = Path(cache_directory)
@@ -104,7 +104,7 @@ def _run(scene: Scene, settings: Mapping[str, Any], frame_interval: float, seed:
         wall_seconds = time.perf_counter() - start
     provenance = {
         **trajectory.provenance,
-        "solver_version": solver.solver_version(),
+        "solver_version": solver.solver_version(settings),
         "wall_seconds": wall_seconds,
         "machine": machine_name(),
     }

@@ -100,5 +100,5 @@ def stored_counts(scene: Scene, spacing: float, offsets: Mapping[int, Sequence[i
         InputError: a lattice too small for a k.
     """
     particles = fill_scene(scene, spacing)
-    kept = {every: len(kept_points(scene, particles, every, offset)) for every, offset in offsets.items()}
-    return len(particles.position), kept
+    counts = {every: len(kept_points(scene, particles, every, offset)) for every, offset in offsets.items()}
+    return len(particles.position), counts

@@ -18,7 +18,7 @@ def _meet(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Count a particle's neighbours among its candidates, or write them down."""
     here, lane = tl.program_id(0), tl.arange(0, LANES)
-    found = tl.load(first + here) if FILLS else tl.zeros((), tl.int64)
+    total = tl.load(first + here) if FILLS else tl.zeros((), tl.int64)
     for run in range(RUNS):
         at, stop = tl.load(begin + run * number + here), tl.load(end + run * number + here)
         while at < stop:
@@ -30,14 +30,14 @@ def _meet(  # type: ignore[no-untyped-def]
                 distance += apart * apart
             close = inside & (other != here) & (distance < squared_radius)
             if FILLS:
-                place = found + tl.cumsum(close.to(tl.int64), axis=0) - 1
-                kept = close & (place < capacity)
-                tl.store(senders + place, other, mask=kept)
-                tl.store(receivers + place, tl.zeros((LANES,), tl.int64) + here, mask=kept)
-            found += tl.sum(close.to(tl.int64), axis=0)
+                place = total + tl.cumsum(close.to(tl.int64), axis=0) - 1
+                stored = close & (place < capacity)
+                tl.store(senders + place, other, mask=stored)
+                tl.store(receivers + place, tl.zeros((LANES,), tl.int64) + here, mask=stored)
+            total += tl.sum(close.to(tl.int64), axis=0)
             at += LANES
     if not FILLS:
-        tl.store(counts + here, found)
+        tl.store(counts + here, total)
 
 
 class BoundedSearch:

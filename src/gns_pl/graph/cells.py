@@ -107,12 +107,12 @@ def _count(cells: Any, squared: Any, offset: int, start: Any) -> None:
     """Put the number of neighbours of particle `offset` + i into start[`offset` + i + 1]."""
     position, sorted_position, _, cell, begin, shape = cells
     for i in range(len(position)):
-        found = -1  # itself
+        count = -1  # itself
         for column in range(3 ** (len(shape) - 1)):
             low, high = _run(cell, i, shape, column)
             for place in range(begin[low], begin[high + 1]):
-                found += _squared_distance(position, i, sorted_position, place) < squared
-        start[offset + i + 1] = found
+                count += _squared_distance(position, i, sorted_position, place) < squared
+        start[offset + i + 1] = count
 
 
 @_compiled

@@ -85,13 +85,13 @@ class ContextGrid:
             extent = extent.view(boxes, *[-1 if other == axis else 1 for other in range(dim)])
             room = room * extent
         flat = (boxes * math.prod(shape[:-1]), shape[-1], 1)
-        room, height = (each.expand(boxes, *shape).reshape(flat) for each in (room, extent))
+        room, height = (values.expand(boxes, *shape).reshape(flat) for values in (room, extent))
         return cls(shape, lower, cells, edge, room, height)
 
 
 def grid_shape(cells: Sequence[float]) -> tuple[int, ...]:
     """Return the nodes of every axis of a grid with so many cells."""
-    return tuple(int(each) + 1 for each in cells)
+    return tuple(int(cell) + 1 for cell in cells)
 
 
 def context_bytes(nodes: int, boxes: int, num_particles: int, dim: int) -> int:
@@ -151,8 +151,8 @@ def context_fields(
         weights.append(torch.stack([parts[side][axis] for axis, side in enumerate(corner)]).prod(dim=0))
         corners.append(first + sum(side * step for side, step in zip(corner, stride, strict=True)))
     corner_index, weight = torch.cat(corners), torch.stack(weights)[:, :, None]
-    carried = volume[:, None] * torch.cat([torch.ones_like(velocity[:, :1]), velocity], dim=1)
-    spread = (weight * carried).flatten(0, 1)
+    moments = volume[:, None] * torch.cat([torch.ones_like(velocity[:, :1]), velocity], dim=1)
+    spread = (weight * moments).flatten(0, 1)
     if grid.room is None or grid.height is None:
         nodal, corner_index = _sparse_sums(grid, spread, corner_index)
     else:

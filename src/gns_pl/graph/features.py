@@ -12,7 +12,7 @@ from gns_pl.graph.context import ContextGrid, context_fields
 
 
 @dataclass(frozen=True)
-class Static:
+class SceneBatch:
     """What does not change while a batch of B scenes with N particles in all is stepped.
 
     Attributes:
@@ -44,13 +44,13 @@ class Static:
         """[N] bool: particles the simulator moves, all but the kinematic ones."""
         return self.particle_type != int(ParticleType.KINEMATIC)
 
-    def to(self, device: torch.device | str) -> Static:
+    def to(self, device: torch.device | str) -> SceneBatch:
         """Return the same on another device."""
-        return Static(**{each.name: getattr(self, each.name).to(device) for each in fields(self) if each.init})
+        return SceneBatch(**{entry.name: getattr(self, entry.name).to(device) for entry in fields(self) if entry.init})
 
-    def in_precision(self, dtype: torch.dtype) -> Static:
+    def in_precision(self, dtype: torch.dtype) -> SceneBatch:
         """Return the same with its numbers in another precision; this very object if they are in it."""
-        floats = {each.name: getattr(self, each.name) for each in fields(self) if each.init}
+        floats = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.init}
         wrong = {name: value for name, value in floats.items() if value.is_floating_point() and value.dtype != dtype}
         return replace(self, **{name: value.to(dtype) for name, value in wrong.items()}) if wrong else self
 
@@ -76,9 +76,9 @@ class Static:
         return self._grids[cell]
 
 
-def in_precision(history: Tensor, static: Static, dtype: torch.dtype) -> tuple[Tensor, Static]:
+def in_precision(history: Tensor, scenes: SceneBatch, dtype: torch.dtype) -> tuple[Tensor, SceneBatch]:
     """Return what a step is made from in the precision of the weights that make it."""
-    return history.to(dtype), static.in_precision(dtype)
+    return history.to(dtype), scenes.in_precision(dtype)
 
 
 REACH = 4.0
@@ -100,7 +100,7 @@ def node_width(
 def node_features(
     velocity: Tensor,
     position: Tensor,
-    static: Static,
+    scenes: SceneBatch,
     *,
     velocity_scale: Tensor,
     radius: float,
@@ -114,7 +114,7 @@ def node_features(
     Args:
         velocity: past velocities, the latest last [N, H − 1, D] [m/s].
         position: latest position [N, D] [m].
-        static: the scenes.
+        scenes: those that are stepped.
         velocity_scale: [] [m/s], velocities are divided by it.
         radius: connectivity radius R [m]; distances to the walls are cut to ± R and divided by it.
         spacing: of the particles [m].
@@ -126,27 +126,27 @@ def node_features(
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
     """
-    to_lower = position - static.of_particles(static.lower)
-    to_upper = static.of_particles(static.upper) - position
+    to_lower = position - scenes.of_particles(scenes.lower)
+    to_upper = scenes.of_particles(scenes.upper) - position
     walls = torch.cat([to_lower, to_upper], dim=1) / radius
     parts = [(velocity / velocity_scale).flatten(1), walls.clamp(-1, 1)]
     if context:
         thickness, momentum, empty, fraction = context_fields(
-            position, velocity[:, -1], static.grid(radius), static.batch, volume=static.volume
+            position, velocity[:, -1], scenes.grid(radius), scenes.batch, volume=scenes.volume
         )
         floor = (to_lower[:, -1] / (REACH * radius)).clamp(-1, 1)
         empty = (empty / radius).clamp(-EMPTY, EMPTY)
         # Particles of a thinned set stand for more or less than their lattice cell, by up to a tenth in small bodies.
         # What is sound is one particle per cell, whatever it weighs: thus the density of particles, not of volume.
-        fraction = fraction * spacing ** position.shape[1] / static.volume
+        fraction = fraction * spacing ** position.shape[1] / scenes.volume
         parts.append(torch.stack([floor, thickness / (REACH * radius), empty, 2 * fraction], dim=1))
         parts.append(momentum / (REACH * radius * velocity_scale))
     if len(particle_types) > 1:
-        known = [static.particle_type == each for each in particle_types]
+        known = [scenes.particle_type == kind for kind in particle_types]
         parts.append(torch.stack(known, dim=1).to(position.dtype))
     used = material_scale.shape[1]
     if used:
-        parts.append((static.material[:, :used] - material_scale[0]) / material_scale[1])
+        parts.append((scenes.material[:, :used] - material_scale[0]) / material_scale[1])
     return torch.cat(parts, dim=1)
 
 

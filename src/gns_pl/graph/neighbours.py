@@ -51,8 +51,8 @@ def radius_graph(
     if backend == NUMBA:
         counts = torch.bincount(batch, minlength=num_graphs).cpu().numpy() if batch is not None else [len(position)]
         first = np.concatenate([[0], np.cumsum(counts)])
-        found = neighbours(detached.cpu().contiguous().numpy(), first, radius)
-        return torch.from_numpy(found).to(position.device)
+        edge_index = neighbours(detached.cpu().contiguous().numpy(), first, radius)
+        return torch.from_numpy(edge_index).to(position.device)
     if batch is None or num_graphs == 1:
         return _single(detached, radius, backend)
     counts = torch.bincount(batch, minlength=num_graphs).tolist()

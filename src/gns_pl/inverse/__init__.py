@@ -5,7 +5,7 @@ differentiates through the learned simulator, `fit` goes down the misfit. Nothin
 """
 
 from gns_pl.inverse.deposit import deposit_misfit, deposit_thickness
-from gns_pl.inverse.fit import Bounds, Fit, descend, solve, stroll
+from gns_pl.inverse.fit import Bounds, Fit, adam, lbfgs, solve
 from gns_pl.inverse.problem import ByDifferences, ByGradient, Problem
 
 __all__ = [
@@ -14,9 +14,9 @@ __all__ = [
     "ByGradient",
     "Fit",
     "Problem",
+    "adam",
     "deposit_misfit",
     "deposit_thickness",
-    "descend",
+    "lbfgs",
     "solve",
-    "stroll",
 ]

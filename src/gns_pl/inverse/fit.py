@@ -1,6 +1,6 @@
-"""Two ways to the unknowns: down a misfit by its gradient, and by what every place tells of every unknown.
+"""Minimisers of a misfit: by its gradient, and by Gauss–Newton on the residuals of every place.
 
-`descend` and `stroll` need a gradient, wherever it comes from; their price does not grow with the number of unknowns if
+`lbfgs` and `adam` need a gradient, wherever it comes from; their price does not grow with the number of unknowns if
 that is reverse mode. `solve` needs runs alone, of whatever solver, and more of them for every unknown.
 """
 
@@ -74,7 +74,7 @@ class Fit:
     path: Floats
 
 
-def descend(
+def lbfgs(
     misfit: Callable[[Floats], tuple[float, Floats]],
     start: Sequence[float],
     bounds: Bounds,
@@ -82,7 +82,7 @@ def descend(
     tolerance: float,
     most: int,
 ) -> Fit:
-    """Go down by gradients, L-BFGS-B (Byrd et al. 1995).
+    """Minimise by L-BFGS-B (Byrd et al. 1995).
 
     Args:
         misfit: unknowns → misfit and gradient.
@@ -108,12 +108,12 @@ def descend(
     return record.fit()
 
 
-def stroll(
+def adam(
     misfit: Callable[[Floats], tuple[float, Floats]], start: Sequence[float], bounds: Bounds, *, most: int, pace: float
 ) -> Fit:
-    """Go down by gradients without trusting any of them, Adam (Kingma and Ba 2015) with a pace that falls to nothing.
+    """Minimise by Adam (Kingma and Ba 2015), with a step length that falls to zero.
 
-    Where a misfit is rough on a small scale this walks on where `descend` finds no way down; it takes all its steps.
+    Where a misfit is rough on a small scale it goes on where `lbfgs` finds no descent; it takes all its steps.
 
     Args:
         misfit: unknowns → misfit and gradient.
@@ -163,14 +163,14 @@ def solve(
     def scaled(share: Floats) -> Floats:
         if share.tobytes() not in known:  # the solver asks for the slopes where it has been
             unknowns = bounds.inside(share)
-            known[share.tobytes()] = found = residual(unknowns)
-            record.add(unknowns, float(found @ found))
+            known[share.tobytes()] = values = residual(unknowns)
+            record.add(unknowns, float(values @ values))
         return known[share.tobytes()]
 
     def slopes(share: Floats) -> Floats:
         columns = []
-        for axis, each in zip(np.eye(len(share)), share, strict=True):
-            step = -difference if each + difference > 1 else difference  # never out of the range
+        for axis, value in zip(np.eye(len(share)), share, strict=True):
+            step = -difference if value + difference > 1 else difference  # never out of the range
             columns.append((scaled(share + step * axis) - scaled(share)) / step)
         return np.column_stack(columns)
 

@@ -93,7 +93,7 @@ class Problem:
         """Return `deposit_misfit` of the last frame for every set [S]; arguments as those of `rollout`."""
         last = self.rollout(unknowns, num_steps)[-1].to(unknowns.dtype)
         observed = self.observed.to(unknowns.dtype)
-        return torch.stack([deposit_misfit(self.thickness(each), observed) for each in last])
+        return torch.stack([deposit_misfit(self.thickness(positions), observed) for positions in last])
 
 
 @dataclass

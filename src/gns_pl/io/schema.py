@@ -134,21 +134,21 @@ def _check_entry(file: Any, entry: Entry, sizes: dict[str, int]) -> None:
     owner, _, name = entry.path.partition("@")
     if owner not in file or (name and name not in file[owner].attrs):
         raise InputError(f"lacks {entry.path}.")
-    found: Any = np.asarray(file[owner].attrs[name]) if name else file[owner]
-    if not hasattr(found, "dtype") or not hasattr(found, "shape"):
+    stored: Any = np.asarray(file[owner].attrs[name]) if name else file[owner]
+    if not hasattr(stored, "dtype") or not hasattr(stored, "shape"):
         raise InputError(f"{entry.path} must be a data set, not a group.")
     text = entry.dtype == "string"
-    fits = found.dtype.kind in "OSTU" if text else found.dtype == np.dtype(entry.dtype)
+    fits = stored.dtype.kind in "OSTU" if text else stored.dtype == np.dtype(entry.dtype)
     if not fits:
-        raise InputError(f"{entry.path} must be of type {entry.dtype}, not {found.dtype}.")
+        raise InputError(f"{entry.path} must be of type {entry.dtype}, not {stored.dtype}.")
     wanted = f"[{', '.join(entry.shape)}]"
-    if len(found.shape) != len(entry.shape):
-        raise InputError(f"{entry.path} must be of shape {wanted}, not {list(found.shape)}.")
-    for letter, length in zip(entry.shape, found.shape, strict=True):
+    if len(stored.shape) != len(entry.shape):
+        raise InputError(f"{entry.path} must be of shape {wanted}, not {list(stored.shape)}.")
+    for letter, length in zip(entry.shape, stored.shape, strict=True):
         if sizes.setdefault(letter, int(letter) if letter.isdigit() else int(length)) != length:
             raise InputError(f"{entry.path} must be of shape {wanted} with {letter} = {sizes[letter]}, not {length}.")
-    if not name and entry.unit != "1" and found.attrs.get("unit") != h5md_unit(entry.unit):
-        raise InputError(f"{entry.path} must be in {h5md_unit(entry.unit)}, not in {found.attrs.get('unit')}.")
+    if not name and entry.unit != "1" and stored.attrs.get("unit") != h5md_unit(entry.unit):
+        raise InputError(f"{entry.path} must be in {h5md_unit(entry.unit)}, not in {stored.attrs.get('unit')}.")
 
 
 def render_schema() -> str:

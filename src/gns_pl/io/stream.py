@@ -33,7 +33,7 @@ from gns_pl.io.hdf5 import (
 )
 from gns_pl.trajectory import Trajectory
 
-ROOM = 2**20
+HEADROOM = 2**20
 """Bytes that are left free on the disk, for what HDF5 writes besides frames."""
 
 _SET_ASIDE = f".aside{GROWING}"
@@ -91,7 +91,7 @@ class TrajectoryStream:
         waiting, self._waiting = self._waiting, []
         if waiting:
             # HDF5 does not survive a full disk, so it is not let near one.
-            if free_bytes(self.growing.parent) < sum(frame.nbytes for frame in waiting) + ROOM:
+            if free_bytes(self.growing.parent) < sum(frame.nbytes for frame in waiting) + HEADROOM:
                 raise StorageError(f"{self.growing}: the disk is full; make room and go on from the frames in it.")
             with _told(self.growing):
                 value = self._file[_VALUE]
@@ -134,14 +134,14 @@ def find_frames(path: str | Path) -> tuple[Path, TrajectoryHeader] | None:
         InputError: what stands at `path` itself is no trajectory.
     """
     path = Path(path)
-    found: list[tuple[Path, TrajectoryHeader]] = []
+    usable: list[tuple[Path, TrajectoryHeader]] = []
     for candidate in (path, path.with_name(path.name + _SET_ASIDE), path.with_name(path.name + GROWING)):
         if candidate.exists():
             # A growing file in which nothing can be read has nothing to lose.
             with nullcontext() if candidate == path else suppress(InputError):
                 header = replace(read_header(candidate), num_frames=_whole_frames(candidate))
-                found += [(candidate, header)] if header.num_frames else []
-    return max(found, key=lambda pair: pair[1].num_frames, default=None)
+                usable += [(candidate, header)] if header.num_frames else []
+    return max(usable, key=lambda pair: pair[1].num_frames, default=None)
 
 
 def _whole_frames(path: Path) -> int:

@@ -19,7 +19,7 @@ READERS: dict[type, Callable[[str], Any]] = {bool: lambda text: text == "True", 
 """Type of a field → what makes it of a cell."""
 
 
-def read_table(path: str | Path, kind: type[R], advice: str, renamed: Mapping[str, str] | None = None) -> list[R]:
+def read_table(path: str | Path, kind: type[R], advice: str, *, renamed: Mapping[str, str] | None = None) -> list[R]:
     """Return the rows of a table.
 
     Columns beyond the fields of the dataclass are left out; a field with a default may have none, as in older tables.
@@ -28,21 +28,22 @@ def read_table(path: str | Path, kind: type[R], advice: str, renamed: Mapping[st
         path: the file.
         kind: dataclass of a row, whose fields are bool, int, float or str.
         advice: what is said, behind the path, of a file that holds something else.
-        renamed: name of a column in older tables → that of the field.
+        renamed: name of a column in older tables → its name now.
 
     Raises:
         InputError: no such file, or no such table.
     """
     types = typing.get_type_hints(kind)
-    readers = {each.name: READERS[types[each.name]] for each in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    readers = {field.name: READERS[types[field.name]] for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
-            names = renamed or {}
-            lines = [{names.get(key, key): cell for key, cell in line.items()} for line in csv.DictReader(file)]
-        for each in dataclasses.fields(kind):  # type: ignore[arg-type]
-            if each.default is not dataclasses.MISSING and lines and each.name not in lines[0]:
-                del readers[each.name]
-        return [kind(**{name: reader(line[name]) for name, reader in readers.items()}) for line in lines]
+            reader = csv.DictReader(file)
+            reader.fieldnames = [(renamed or {}).get(name, name) for name in reader.fieldnames or ()]
+            lines = list(reader)
+        for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+            if field.default is not dataclasses.MISSING and lines and field.name not in lines[0]:
+                del readers[field.name]
+        return [kind(**{name: parse(line[name]) for name, parse in readers.items()}) for line in lines]
     except (OSError, KeyError, ValueError, TypeError, csv.Error) as error:
         raise InputError(f"{path}: {advice} ({error}).") from error
 
@@ -55,7 +56,7 @@ def render_table(kind: type[Any], rows: Iterable[Any], digits: int | None = None
         rows: of it.
         digits: significant ones of a float; None writes all of them.
     """
-    names, text = [each.name for each in dataclasses.fields(kind)], io.StringIO()
+    names, text = [field.name for field in dataclasses.fields(kind)], io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
     for row in rows:

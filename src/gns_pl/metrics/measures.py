@@ -218,5 +218,5 @@ def sinkhorn_distance(first: Floats, second: Floats, num_points: int = 200) -> f
     spacing = float(np.median(nearest_neighbour_distance(clouds[1])))
     clouds = [cloud / spacing for cloud in clouds]
     settings = {"method": "sinkhorn_log", "numIterMax": 100, "stopThr": 1e-4, "warn": False}
-    found = empirical_sinkhorn_divergence(*clouds, reg=1.0, **settings)
-    return spacing * math.sqrt(max(0.0, float(found)))
+    divergence = empirical_sinkhorn_divergence(*clouds, reg=1.0, **settings)
+    return spacing * math.sqrt(max(0.0, float(divergence)))

@@ -1,6 +1,7 @@
 """One number per question: what a trajectory did (`summarise`), how far off a rollout is (`rollout_errors`).
 
-Pure NumPy, so that training can validate by rollout and the evaluate door judges by the very same numbers.
+Which numbers there are stands in `quantities`, but for those that follow single particles, which are here. Pure NumPy,
+so that training can validate by rollout and `evaluate.py` judges by the very same numbers.
 """
 
 from __future__ import annotations
@@ -13,7 +14,22 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.metrics import measures
 from gns_pl.metrics.curves import Curves, Quantity, compute_curves, cut, mobile, num_finite_frames
+from gns_pl.metrics.quantities import COMPARISONS, MINIMAL_RUNOUT, RELATIVE, SUMMARY, profile_l1
 from gns_pl.trajectory import Trajectory, nearest_neighbour_distance
+
+__all__ = [
+    "COMPARISON",
+    "ERRORS",
+    "FLOW",
+    "MINIMAL_RUNOUT",
+    "SUMMARY",
+    "Measured",
+    "compare",
+    "flow_errors",
+    "profile_l1",
+    "rollout_errors",
+    "summarise",
+]
 
 MSE_STEPS = (1, 5, 20, 50, 100)
 """Numbers of steps n for which MSE_n is reported, besides the whole rollout."""
@@ -21,65 +37,13 @@ MSE_STEPS = (1, 5, 20, 50, 100)
 SPACING_FRAMES = 48
 """Nearest neighbours are looked for in at most this many frames, evenly spaced, first and last among them."""
 
-PROFILE_BIN = 2.0
-"""Width of a bin of the deposit profile, in particle spacings."""
-
-FINAL = (
-    "runout_99",
-    "runout_995",
-    "runout_max",
-    "height_99",
-    "height_max",
-    "mean_height",
-    "centre_of_mass_x",
-    "kinetic_energy",
-    "potential_energy",
-    "dissipated_energy",
-    "speed_mean",
-    "speed_99",
-)
-"""Entries of `CURVES` whose last value belongs to the summary, under the same name."""
-
-SUMMARY: tuple[Quantity, ...] = (
-    Quantity("runout_99", "L0", "final runout, 99 % of the mass; the one to judge by"),
-    Quantity("runout_995", "L0", "final runout, 99.5 % of the mass"),
-    Quantity("runout_max", "L0", "final runout of the foremost particle"),
-    Quantity("height_99", "L0", "final height, 99 % of the mass"),
-    Quantity("height_max", "L0", "final height of the highest particle"),
-    Quantity("mean_height", "m", "final mass-weighted mean height over the floor"),
-    Quantity("centre_of_mass_x", "m", "final mass-weighted mean distance from the x- wall"),
-    Quantity("kinetic_energy", "J", "final kinetic energy"),
-    Quantity("potential_energy", "J", "final potential energy"),
-    Quantity("dissipated_energy", "J", "kinetic and potential energy lost from start to end"),
-    Quantity("speed_mean", "m/s", "final mean speed"),
-    Quantity("speed_99", "m/s", "final speed that 99 % of the particles do not exceed"),
-    Quantity("kinetic_energy_peak", "J", "largest kinetic energy of any frame"),
-    Quantity("speed_peak", "m/s", "largest mean speed of any frame"),
-    Quantity("arrest_time", "τc", "time from which on the 99 % front has less than 2 % of its advance left"),
-    Quantity("penetration_max", "spacing", "greatest depth of any particle outside the box in any frame"),
-    Quantity(
-        "penetrating_fraction", "1", "largest share of particles deeper than half a spacing outside, of any frame"
-    ),
-    Quantity(
-        "spacing_1", "spacing", "nearest-neighbour distance that 1 % of the particles fall below, least of frames"
-    ),
-    Quantity("spacing_min", "spacing", "smallest nearest-neighbour distance of any frame looked at"),
-    Quantity("density", "1", "final solid fraction that 75 % of the particles do not exceed; 1 inside a sound body"),
-    Quantity("density_max", "1", "the same, largest of the frames looked at; over 1 the material was squeezed"),
-)
-"""Every key of `summarise`, in order."""
+DENSITY_CELL = 2.5
+"""Cells of the grid on which the solid fraction is found, in particle spacings."""
 
 ERRORS: tuple[Quantity, ...] = (
     Quantity("finite_fraction", "1", "share of the reference's frames that the rollout reached with finite positions"),
-    Quantity("runout_99_error", "1", "final 99 % runout, relative: (rollout − reference) / |reference|"),
-    Quantity("runout_995_error", "1", "final 99.5 % runout, relative"),
-    Quantity("runout_max_error", "1", "final runout of the foremost particle, relative"),
-    Quantity("runout_99_difference", "L0", "final 99 % runout, rollout − reference; defined if the reference stays"),
-    Quantity("height_99_error", "1", "final 99 % height, relative"),
-    Quantity("height_max_error", "1", "final maximum height, relative"),
-    Quantity("mean_height_error", "1", "final mean height, relative; −1 would be a pancake"),
-    Quantity("kinetic_energy_peak_error", "1", "largest kinetic energy of any frame, relative"),
-    Quantity("profile_l1", "1", "area between the final deposits' profiles over the area of the reference's"),
+    *RELATIVE,
+    *COMPARISONS,
     *(
         Quantity(f"mse_{n}", "m²", f"squared position error, mean over frames 1 to {n}, particles and axes")
         for n in MSE_STEPS
@@ -97,18 +61,8 @@ COMPARISON: tuple[Quantity, ...] = (
 )
 """Every key of `compare`, which takes too long for a training's validation."""
 
-FLOW = tuple(
-    quantity.name
-    for quantity in (*COMPARISON, *SUMMARY)
-    if not quantity.name.startswith("mse_") and quantity.name not in ("finite_fraction", "position_error", "sinkhorn")
-)
+FLOW = tuple(quantity.name for quantity in (*RELATIVE, *COMPARISONS, *SUMMARY))
 """Every key of `flow_errors`: what follows no single particle, so that any placement may be judged by it."""
-
-DENSITY_CELL = 2.5
-"""Cells of the grid on which the solid fraction is found, in particle spacings."""
-
-MINIMAL_RUNOUT = 1e-3
-"""Relative runout errors are NaN where the reference advances by less than this [L0]."""
 
 
 def summarise(trajectory: Trajectory, curves: Curves | None = None) -> dict[str, float]:
@@ -118,25 +72,10 @@ def summarise(trajectory: Trajectory, curves: Curves | None = None) -> dict[str,
         trajectory: finite in every frame.
         curves: its `compute_curves`, if there already.
     """
-    flow = mobile(trajectory)
-    curves = compute_curves(flow) if curves is None else curves
-    spacing = measures.particle_spacing(flow)
-    depth = measures.penetration(flow) / spacing
-    frames = np.unique(np.linspace(0, flow.num_frames - 1, min(SPACING_FRAMES, flow.num_frames)).round().astype(int))
-    near = [nearest_neighbour_distance(flow.position[frame].astype(np.float64)) / spacing for frame in frames]
-    dense = [solid_fraction_75(flow, frame) for frame in frames]
-    values = {name: float(curves[name][-1]) for name in FINAL}
-    return values | {
-        "kinetic_energy_peak": float(curves["kinetic_energy"].max()),
-        "speed_peak": float(curves["speed_mean"].max()),
-        "arrest_time": measures.arrest_time(curves["time_tau"], curves["runout_99"]),
-        "penetration_max": float(depth.max()),
-        "penetrating_fraction": float((depth > 0.5).mean(axis=1).max()),
-        "spacing_1": float(min(np.percentile(distance, 1) for distance in near)),
-        "spacing_min": float(min(distance.min() for distance in near)),
-        "density": dense[-1],
-        "density_max": max(dense),
-    }
+    measured = Measured(trajectory)
+    if curves is not None:
+        measured.curves = curves
+    return measured.summary
 
 
 def solid_fraction_75(flow: Trajectory, frame: int) -> float:
@@ -167,9 +106,37 @@ class Measured:
         return compute_curves(self.flow)
 
     @cached_property
+    def spacing(self) -> float:
+        """Of the particles [m]."""
+        return measures.particle_spacing(self.flow)
+
+    @cached_property
+    def penetration(self) -> measures.Floats:
+        """Depth of particles outside the box, in spacings [T, N]."""
+        return measures.penetration(self.flow) / self.spacing
+
+    @cached_property
+    def frames(self) -> list[int]:
+        """At most `SPACING_FRAMES` frames, evenly spaced, first and last among them."""
+        last = self.flow.num_frames - 1
+        evenly = np.linspace(0, last, min(SPACING_FRAMES, last + 1)).round().astype(int)
+        return [int(frame) for frame in np.unique(evenly)]
+
+    @cached_property
+    def nearest(self) -> list[measures.Floats]:
+        """Distance of every particle to its nearest neighbour in `frames`, in spacings [N] each."""
+        positions = (self.flow.position[frame].astype(np.float64) for frame in self.frames)
+        return [nearest_neighbour_distance(position) / self.spacing for position in positions]
+
+    @cached_property
+    def solid_fractions(self) -> list[float]:
+        """Solid fraction that 75 % of the particles do not exceed in `frames`."""
+        return [solid_fraction_75(self.flow, frame) for frame in self.frames]
+
+    @cached_property
     def summary(self) -> dict[str, float]:
         """Every entry of `SUMMARY`."""
-        return summarise(self.flow, self.curves)
+        return {metric.name: metric.compute(self) for metric in SUMMARY}
 
 
 def compare(
@@ -179,7 +146,7 @@ def compare(
     errors = rollout_errors(predicted, reference, whole, given=given)
     distance = math.nan
     if errors["finite_fraction"] == 1:
-        flows = [mobile(cut(each, reference.num_frames)).position[-1] for each in (predicted, reference)]
+        flows = [mobile(cut(trajectory, reference.num_frames)).position[-1] for trajectory in (predicted, reference)]
         distance = measures.sinkhorn_distance(*flows) / measures.particle_spacing(mobile(reference))
     return {**errors, "sinkhorn": distance}
 
@@ -256,27 +223,6 @@ def flow_errors(predicted: Measured, reference: Measured) -> dict[str, float]:
     Returns:
         The entries of `ERRORS` that follow no single particle, then the `SUMMARY` of `predicted`.
     """
-    got, truth = predicted.summary, reference.summary
-    errors = {"runout_99_difference": got["runout_99"] - truth["runout_99"]}
-    for name in ("runout_99", "runout_995", "runout_max"):
-        errors[f"{name}_error"] = _relative(got[name], truth[name], MINIMAL_RUNOUT)
-    for name in ("height_99", "height_max", "mean_height", "kinetic_energy_peak"):
-        errors[f"{name}_error"] = _relative(got[name], truth[name], 0.0)
-    errors["profile_l1"] = profile_l1(predicted.flow, reference.flow)
-    return errors | got
-
-
-def profile_l1(predicted: Trajectory, reference: Trajectory) -> float:
-    """Return ∫ |h − h_reference| dx / ∫ h_reference dx of the last frames (`measures.deposit_profile`)."""
-    width = PROFILE_BIN * max(measures.particle_spacing(each) for each in (predicted, reference))
-    heights = [
-        measures.deposit_profile(
-            flow.position[-1].astype(np.float64), flow.mass.astype(np.float64), reference.scene, width
-        )[1]
-        for flow in (predicted, reference)
-    ]
-    return float(np.abs(heights[0] - heights[1]).sum() / heights[1].sum())
-
-
-def _relative(value: float, truth: float, least: float) -> float:
-    return (value - truth) / abs(truth) if abs(truth) > least else math.nan
+    errors = {f"{metric.name}_error": metric.relative_error(predicted, reference) for metric in SUMMARY if metric.error}
+    errors |= {comparison.name: comparison.compare(predicted, reference) for comparison in COMPARISONS}
+    return errors | predicted.summary

@@ -17,10 +17,10 @@ from typing import Any
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Seen
+from gns_pl.graph import TrainingDistribution
 from gns_pl.io import atomic_path
 from gns_pl.models.registry import DEFAULT, build_simulator, kind_of
-from gns_pl.models.shipped import find_checkpoint
+from gns_pl.models.shipped import CORRECTOR, CORRECTOR_KIND, find_checkpoint
 from gns_pl.models.simulator import Simulator
 
 KEY = "gns_pl"
@@ -40,17 +40,20 @@ class Checkpoint:
         simulator: the simulator, in evaluation mode, on the CPU.
         data: the specification of the data it was trained on, as in conf/data/.
         provenance: versions, commit, resolved config, hash of the dataset's manifest, steps made.
-        seen: what the network saw in training (`Simulator.state`); None in files that do not say.
+        distribution: what the network saw in training (`Simulator.state`); None in files that do not say.
     """
 
     simulator: Simulator
     data: dict[str, Any]
     provenance: dict[str, Any]
-    seen: Seen | None = None
+    distribution: TrainingDistribution | None = None
 
 
 def checkpoint_entry(
-    simulator: Simulator, data: Mapping[str, Any], provenance: Mapping[str, Any], seen: Seen | None = None
+    simulator: Simulator,
+    data: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+    distribution: TrainingDistribution | None = None,
 ) -> dict[str, Any]:
     """Return what the trainer stores under `KEY`, plain values and tensors only; `simulator` tells kind and config."""
     kind = kind_of(simulator)
@@ -62,13 +65,13 @@ def checkpoint_entry(
         "data": dict(data),
         "provenance": dict(provenance),
     }
-    return entry if seen is None else {**entry, "seen": seen.to_dict()}
+    return entry if distribution is None else {**entry, "seen": distribution.to_dict()}
 
 
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint without trainer state, whole or not at all: weights, statistics, config, data, provenance."""
     weights = {PREFIX + name: value for name, value in checkpoint.simulator.state_dict().items()}
-    entry = checkpoint_entry(checkpoint.simulator, checkpoint.data, checkpoint.provenance, checkpoint.seen)
+    entry = checkpoint_entry(checkpoint.simulator, checkpoint.data, checkpoint.provenance, checkpoint.distribution)
     with atomic_path(path) as temporary:
         torch.save({"state_dict": weights, KEY: entry}, temporary)
 
@@ -113,6 +116,11 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
             f"{path}: was trained with other features of model.context (format {entry['format_version']}); "
             "train it anew."
         )
+    if entry.get("kind") == CORRECTOR_KIND:
+        raise InputError(
+            f"{path}: is of the training of a corrector of coarse MPM, and no simulator; take the {CORRECTOR} file "
+            "beside it."
+        )
     try:
         simulator = build_simulator({"kind": entry.get("kind", DEFAULT), **_current(entry["config"], path)})
     except InputError as error:
@@ -124,8 +132,8 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         simulator.load_state_dict(weights)
     except RuntimeError as error:
         raise InputError(f"{path}: its weights do not fit its own configuration; the file is damaged.") from error
-    seen = Seen.from_dict(entry["seen"]) if "seen" in entry else None
-    return Checkpoint(simulator.eval(), entry["data"], entry["provenance"], seen)
+    distribution = TrainingDistribution.from_dict(entry["seen"]) if "seen" in entry else None
+    return Checkpoint(simulator.eval(), entry["data"], entry["provenance"], distribution)
 
 
 def _current(config: Mapping[str, Any], path: str | Path) -> dict[str, Any]:

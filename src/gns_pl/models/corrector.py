@@ -20,13 +20,21 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph
+from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph
 from gns_pl.graph.radius import advised_radius
 from gns_pl.io import atomic_path
+from gns_pl.models.checkpoint import KEY as CHECKPOINT_KEY
+from gns_pl.models.shipped import CORRECTOR_KIND
 from gns_pl.nn import EncodeProcessDecode, in_float32
 
 KEY = "gns_pl_corrector"
 FORMAT_VERSION = 1
+
+PREFIX = "corrector."
+"""Of its weights in the checkpoints of a training."""
+
+RENAMED = {"slow": "velocity_threshold"}
+"""Keys of a config in files of before → their names now."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +50,11 @@ class CorrectorConfig:
         latent_size: width of the states.
         num_mlp_layers: hidden layers of each MLP.
         num_message_passing_steps: number of interaction networks.
-        slow: a correction is halved where a point is slower than this part of the velocity scale, and vanishes with its
-            speed: what rests is left alone.
+        velocity_threshold: share of the velocity scale; the correction of a point of this speed is halved, and it
+            vanishes with the speed: what rests is left alone.
+
+    Raises:
+        InputError: a value out of range.
     """
 
     dim: int
@@ -54,17 +65,31 @@ class CorrectorConfig:
     latent_size: int
     num_mlp_layers: int
     num_message_passing_steps: int
-    slow: float
+    velocity_threshold: float
 
     def __post_init__(self) -> None:
-        for name in ("interval", "spacing", "connectivity_radius", "slow"):
+        for name in ("interval", "spacing", "connectivity_radius", "velocity_threshold"):
             if not getattr(self, name) > 0:
-                raise InputError(f"correction.{name} must be positive, not {getattr(self, name)}.")
+                raise InputError(f"model.{name} must be positive, not {getattr(self, name)}.")
         if self.connectivity_radius < self.spacing:
             raise InputError(
                 f"model.connectivity_radius = {self.connectivity_radius:g} m reaches no neighbour at a spacing of "
                 f"{self.spacing:.3g} m; take model.connectivity_radius={advised_radius(self.spacing):g}"
             )
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> CorrectorConfig:
+        """Return the config of a plain mapping, such as conf/model/corrector.yaml with what the data say.
+
+        Raises:
+            InputError: an unknown or missing key, or a value out of range.
+        """
+        known, given = {field.name for field in dataclasses.fields(cls)}, set(data)
+        wrong = [f"unknown key {name}" for name in sorted(given - known)]
+        wrong += [f"missing key {name}" for name in sorted(known - given)]
+        if wrong:
+            raise InputError(f"model: {', '.join(wrong)}; known are {', '.join(sorted(known))}.")
+        return cls(**data)
 
 
 class Corrector(nn.Module):
@@ -99,7 +124,7 @@ class Corrector(nn.Module):
             num_message_passing_steps=config.num_message_passing_steps,
         )
 
-    def forward(self, before: Tensor, position: Tensor, predicted: Tensor, static: Static) -> Tensor:
+    def forward(self, before: Tensor, position: Tensor, predicted: Tensor, static: SceneBatch) -> Tensor:
         """Return the velocities to add [N, D] [m/s].
 
         Args:
@@ -128,7 +153,7 @@ class Corrector(nn.Module):
         edge = edge_features(predicted, edge_index, config.connectivity_radius)
         output: Tensor = self.network(torch.cat([node, change], dim=1), edge, edge_index)
         speed = velocity.norm(dim=1, keepdim=True)
-        moving: Tensor = speed / (speed + config.slow * self.velocity_scale)
+        moving: Tensor = speed / (speed + config.velocity_threshold * self.velocity_scale)
         return output * moving * self.correction_scale
 
 
@@ -160,7 +185,7 @@ def save_corrector(path: Path, content: CorrectorFile) -> None:
 
 
 def load_corrector(path: Path) -> CorrectorFile:
-    """Read a corrector's file.
+    """Read a corrector's file, or the checkpoint of a training of one.
 
     Raises:
         InputError: no such file, or not one of ours.
@@ -169,9 +194,13 @@ def load_corrector(path: Path) -> CorrectorFile:
         raise InputError(f"{path}: there is no such corrector.")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-        entry = content[KEY]
-        corrector = Corrector(CorrectorConfig(**entry["config"]))
-        corrector.load_state_dict(content["state_dict"])
+        entry, weights = content.get(KEY), content["state_dict"]
+        if entry is None and content[CHECKPOINT_KEY].get("kind") == CORRECTOR_KIND:
+            entry = content[CHECKPOINT_KEY]
+            weights = {name.removeprefix(PREFIX): value for name, value in weights.items() if name.startswith(PREFIX)}
+        config = {RENAMED.get(name, name): value for name, value in entry["config"].items()}
+        corrector = Corrector(CorrectorConfig(**config))
+        corrector.load_state_dict(weights)
     except (pickle.UnpicklingError, zipfile.BadZipFile, RuntimeError, EOFError, LookupError, TypeError) as error:
         raise InputError(f"{path}: is not a corrector of gns_pl, or was cut off while written.") from error
     return CorrectorFile(corrector.eval(), entry["data"], entry["provenance"])

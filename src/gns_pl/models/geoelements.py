@@ -25,7 +25,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features, radius_graph
+from gns_pl.graph import SceneBatch, edge_features, radius_graph
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.simulator import Evaluation, Search, Simulator
 from gns_pl.nn import DEFAULT_NETWORK, EncodeProcessDecode, in_float32
@@ -121,29 +121,29 @@ class FrameSimulator(Simulator):
         width = (config.input_sequence_length + 1) * config.dim
         return width + config.type_size + len(config.material_features)
 
-    def features(self, history: Tensor, static: Static, search: Search | None = None) -> tuple[Tensor, Tensor]:
+    def features(self, history: Tensor, scenes: SceneBatch, search: Search | None = None) -> tuple[Tensor, Tensor]:
         """Return what every particle knows of itself [N, F], and the edges [2, E], also from each to itself.
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
             search: as of `Simulator.features`.
         """
         config, position = self.config, history[:, -1]
         edge_index = (search or radius_graph)(
             position,
             config.connectivity_radius,
-            static.batch,
+            scenes.batch,
             backend=config.neighbours,
-            num_graphs=static.num_graphs,
+            num_graphs=scenes.num_graphs,
         )
         velocity = (history.diff(dim=1) - self.velocity_mean) / self.velocity_std
-        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
+        lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
         walls = torch.cat([position - lower, upper - position], dim=1) / config.connectivity_radius
         clip = config.boundary_clip
-        parts = [velocity.flatten(1), walls.clamp(-clip, clip), self.types(static.particle_type)]
+        parts = [velocity.flatten(1), walls.clamp(-clip, clip), self.types(scenes.particle_type)]
         if config.material_features:
-            parts.append(static.material[:, : len(config.material_features)])
+            parts.append(scenes.material[:, : len(config.material_features)])
         return torch.cat(parts, dim=1), with_self_loops(edge_index, len(position))
 
     def state_names(self) -> list[str]:
@@ -154,45 +154,45 @@ class FrameSimulator(Simulator):
         return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
 
     def normalised_acceleration(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
+        self, history: Tensor, scenes: SceneBatch, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the network's (ẍ − `acceleration_mean`) / `acceleration_std`, gravity in it [N, D].
 
         Args:
             history: [N, H, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
             search: as of `Simulator.features`.
             network: evaluated in the place of the simulator's own.
         """
-        node, edge_index = self.features(history, static, search)
+        node, edge_index = self.features(history, scenes, search)
         edge = edge_features(history[:, -1], edge_index, self.config.connectivity_radius)
         output: Tensor = (network or self.network)(node, edge, edge_index)
         return output
 
-    def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:
+    def target(self, history: Tensor, next_position: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the normalised acceleration that carries `history` to `next_position` in one step [N, D].
 
         Args:
             history: [N, H, D] [m].
             next_position: [N, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
         """
         second_difference = next_position - 2 * history[:, -1] + history[:, -2]
         return (second_difference - self.acceleration_mean) / self.acceleration_std
 
-    def integrate(self, history: Tensor, normalised: Tensor, static: Static) -> Tensor:
+    def integrate(self, history: Tensor, normalised: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the next position [N, D] [m]; one that would cross the whole box in a step becomes NaN.
 
         Args:
             history: [N, H, D] [m].
             normalised: as of `normalised_acceleration` [N, D].
-            static: the scenes.
+            scenes: those that are stepped.
         """
         acceleration = normalised * self.acceleration_std + self.acceleration_mean
         step = history[:, -1] - history[:, -2] + acceleration
-        size = static.of_particles(static.upper) - static.of_particles(static.lower)
+        size = scenes.of_particles(scenes.upper) - scenes.of_particles(scenes.lower)
         position = torch.where(step.abs() > size, torch.nan, history[:, -1] + step)
-        return torch.where(static.moved[:, None], position, history[:, -1])
+        return torch.where(scenes.moved[:, None], position, history[:, -1])
 
 
 def cold_start(config: SimulatorConfig, provenance: Mapping[str, Any]) -> str | None:

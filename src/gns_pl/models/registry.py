@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from gns_pl.extensions import imported
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.geoelements import FrameSimulator
 from gns_pl.models.simulator import Simulator
-from gns_pl.nn.network import imported
 
 MODELS: dict[str, type[Simulator]] = {"simulator": Simulator, "frames": FrameSimulator}
 """Name → class; `register_model` adds."""
@@ -38,7 +38,9 @@ def model_class(kind: str) -> type[Simulator]:
 def kind_of(simulator: Simulator) -> str:
     """Return the kind by which a model is built again."""
     model = type(simulator)
-    return next((name for name, each in MODELS.items() if each is model), f"{model.__module__}.{model.__qualname__}")
+    return next(
+        (name for name, registered in MODELS.items() if registered is model), f"{model.__module__}.{model.__qualname__}"
+    )
 
 
 def simulator_config(model: Mapping[str, Any]) -> SimulatorConfig:

@@ -17,6 +17,9 @@ ALIASES = {"column-fast": "collapse", "column-fast-plane": "collapse_plane"}
 CORRECTOR = ".corrector"
 """Ending of the files that correct coarse MPM."""
 
+CORRECTOR_KIND = "corrector"
+"""model.kind of what corrects coarse MPM, in conf/model and in the checkpoints of its training."""
+
 RETUNED = ".yaml"
 """Ending of the files of retuned MPM."""
 
@@ -74,11 +77,11 @@ def existing_checkpoint(path: str | Path, also: Iterable[str] = ()) -> Path:
     Raises:
         InputError: there is none; names that may have been meant, and those that come with the package, are told.
     """
-    found = find_checkpoint(path)
-    if found.is_file():
-        return found
+    file = find_checkpoint(path)
+    if file.is_file():
+        return file
     known = sorted([*pretrained_names(), *ALIASES, *also])
-    beside = [str(each) for each in sorted(found.parent.glob("*.ckpt"))]
+    beside = [str(checkpoint) for checkpoint in sorted(file.parent.glob("*.ckpt"))]
     raise InputError(
         f"{path}: there is no such checkpoint{did_you_mean(str(path), [*known, *beside])}; "
         f"those that come with gns_pl are {', '.join(known)}."

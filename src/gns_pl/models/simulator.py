@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
+from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
 from gns_pl.graph.features import in_precision
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.nn import build_network, in_float32
@@ -125,12 +125,12 @@ class Simulator(nn.Module):
         self.acceleration_scale.fill_(acceleration)
         self.material_scale.copy_(material)
 
-    def features(self, history: Tensor, static: Static, search: Search | None = None) -> tuple[Tensor, Tensor]:
+    def features(self, history: Tensor, scenes: SceneBatch, search: Search | None = None) -> tuple[Tensor, Tensor]:
         """Return what every particle knows of itself [N, F], and the edges [2, E].
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
             search: finds the neighbours, with the arguments and the result of `radius_graph`, which it is without one.
         """
         config = self.config
@@ -139,14 +139,14 @@ class Simulator(nn.Module):
         edge_index = (search or radius_graph)(
             position,
             config.connectivity_radius,
-            static.batch,
+            scenes.batch,
             backend=config.neighbours,
-            num_graphs=static.num_graphs,
+            num_graphs=scenes.num_graphs,
         )
         node = node_features(
             velocity,
             position,
-            static,
+            scenes,
             velocity_scale=self.velocity_scale,
             radius=config.connectivity_radius,
             spacing=config.spacing,
@@ -156,23 +156,23 @@ class Simulator(nn.Module):
         )
         return node, edge_index
 
-    def state(self, history: Tensor, static: Static) -> Tensor:
+    def state(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return all that a step depends on of every particle and its surroundings, by which states are compared.
 
         Features, `graph.surroundings`, and what gravity adds to a velocity in a step, over `velocity_scale`.
 
         Args:
             history: [N, H, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
 
         Returns:
             [N, F + 3 + D], as `state_names`.
         """
         config = self.config
-        node, edge_index = self.features(history, static)
+        node, edge_index = self.features(history, scenes)
         velocity = (history[:, -1] - history[:, -2]) / (config.dt * self.velocity_scale)
         near = surroundings(history[:, -1], velocity, edge_index, config.connectivity_radius)
-        gravity = static.of_particles(static.gravity) * config.dt / self.velocity_scale
+        gravity = scenes.of_particles(scenes.gravity) * config.dt / self.velocity_scale
         return torch.cat([node, near, gravity.expand_as(velocity)], dim=1)
 
     def state_names(self) -> list[str]:
@@ -186,7 +186,7 @@ class Simulator(nn.Module):
         return [*names, "neighbours", "distance of neighbours", "speed against neighbours", *["gravity"] * config.dim]
 
     def normalised_acceleration(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
+        self, history: Tensor, scenes: SceneBatch, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the network's (a − g) / `acceleration_scale` [N, D].
 
@@ -195,48 +195,48 @@ class Simulator(nn.Module):
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
             search: as of `features`.
             network: evaluated in the place of the simulator's own.
         """
         config = self.config
         position, velocity = history[:, -1], history.diff(dim=1) / config.dt
-        node, edge_index = self.features(history, static, search)
+        node, edge_index = self.features(history, scenes, search)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = (network or self.network)(node, edge, edge_index)
         if config.output == "gated":
             increment, gate = output.chunk(2, dim=1)
-            falling = velocity[:, -1] / config.dt + static.of_particles(static.gravity)  # (v + g Δt) / Δt
+            falling = velocity[:, -1] / config.dt + scenes.of_particles(scenes.gravity)  # (v + g Δt) / Δt
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
-        return torch.where(self._in_contact(position, edge_index, static)[:, None], output, 0.0)
+        return torch.where(self._in_contact(position, edge_index, scenes)[:, None], output, 0.0)
 
-    def _in_contact(self, position: Tensor, edge_index: Tensor, static: Static) -> Tensor:
+    def _in_contact(self, position: Tensor, edge_index: Tensor, scenes: SceneBatch) -> Tensor:
         """Return which particles have a neighbour or a wall within the connectivity radius [N] bool."""
-        contact = self._at_wall(position, static)
+        contact = self._at_wall(position, scenes)
         sender, receiver = edge_index
         met = contact.new_zeros(len(contact) + 1)
         met.index_fill_(0, torch.where(sender == receiver, len(contact), receiver), True)  # a node itself is padding
         return contact | met[:-1]
 
-    def _at_wall(self, position: Tensor, static: Static) -> Tensor:
+    def _at_wall(self, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Return which particles have a wall within the connectivity radius [N] bool."""
         radius = self.config.connectivity_radius
-        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
+        lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
         return ((position - lower < radius) | (upper - position < radius)).any(dim=1)
 
-    def target(self, history: Tensor, next_position: Tensor, static: Static) -> Tensor:
+    def target(self, history: Tensor, next_position: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the normalised a − g that carries `history` to `next_position` in one step [N, D].
 
         Args:
             history: [N, H, D] [m].
             next_position: [N, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
         """
         second_difference = next_position - 2 * history[:, -1] + history[:, -2]
         acceleration = second_difference / self.config.dt**2
-        return (acceleration - static.of_particles(static.gravity)) / self.acceleration_scale
+        return (acceleration - scenes.of_particles(scenes.gravity)) / self.acceleration_scale
 
-    def integrate(self, history: Tensor, normalised: Tensor, static: Static) -> Tensor:
+    def integrate(self, history: Tensor, normalised: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the next position by semi-implicit Euler: v' = v + a Δt, x' = x + v' Δt [N, D] [m].
 
         The walls are rigid, so a particle that would leave the box is put onto its face; one that would cross the
@@ -246,27 +246,27 @@ class Simulator(nn.Module):
         Args:
             history: [N, H, D] [m].
             normalised: (a − g) / `acceleration_scale` [N, D].
-            static: the scenes.
+            scenes: those that are stepped.
         """
-        acceleration = normalised * self.acceleration_scale + static.of_particles(static.gravity)
+        acceleration = normalised * self.acceleration_scale + scenes.of_particles(scenes.gravity)
         velocity = (history[:, -1] - history[:, -2]) / self.config.dt + acceleration * self.config.dt
         step = velocity * self.config.dt
-        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
+        lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
         position = torch.clamp(history[:, -1] + step, lower, upper)
         position = torch.where(step.abs() > upper - lower, torch.nan, position)
-        return torch.where(static.moved[:, None], position, history[:, -1])
+        return torch.where(scenes.moved[:, None], position, history[:, -1])
 
     def forward(
-        self, history: Tensor, static: Static, *, search: Search | None = None, network: Evaluation | None = None
+        self, history: Tensor, scenes: SceneBatch, *, search: Search | None = None, network: Evaluation | None = None
     ) -> Tensor:
         """Return the positions one step later [N, D] [m], in the weights' precision.
 
         Args:
             history: positions of the last H frames, the latest last [N, H, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
             search: as of `features`.
             network: evaluated in the place of the simulator's own.
         """
-        history, static = in_precision(history, static, self.velocity_scale.dtype)
-        normalised = self.normalised_acceleration(history, static, search=search, network=network)
-        return self.integrate(history, normalised, static)
+        history, scenes = in_precision(history, scenes, self.velocity_scale.dtype)
+        normalised = self.normalised_acceleration(history, scenes, search=search, network=network)
+        return self.integrate(history, normalised, scenes)

@@ -12,6 +12,7 @@ from numba import cuda
 from numpy.typing import NDArray
 
 from gns_pl.mpm.cuda import FIRST_NODE, LEFT, make_kernels
+from gns_pl.mpm.laws import find_law
 from gns_pl.mpm.plan import Plan, make_setting
 
 THREADS = 1 if numba.config.ENABLE_CUDASIM else 128
@@ -49,7 +50,7 @@ class Batch:
     def __init__(self, plans: Sequence[Plan], states: Sequence[State]) -> None:
         self.plans = tuple(plans)
         config, dim = plans[0].config, plans[0].scene.dim
-        self._kernels = make_kernels(config.shape, config.precision, dim)
+        self._kernels = make_kernels(config.shape, config.precision, dim, find_law(config.law))
         self.first = np.cumsum([0, *(len(state[0]) for state in states)])
         self.num_points = int(self.first[-1])
         self._points = [cuda.to_device(array) for array in _join_points(states)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gns_pl.errors import InputError
+from gns_pl.mpm.laws import DRUCKER_PRAGER, find_law
 from gns_pl.scene.checks import checked_number
 
 COURANT_LIMIT = 0.6
@@ -46,6 +47,7 @@ class MPMConfig:
         shape: shape functions, "quadratic" or "linear".
         precision: "float64" or "float32", of arrays and arithmetic.
         allow_large_courant: accept a Courant number above `COURANT_LIMIT`.
+        law: material law, "drucker_prager", a registered name or "MODULE.FUNCTION" (`laws`).
 
     Raises:
         InputError: a number out of its range, in one sentence.
@@ -63,6 +65,7 @@ class MPMConfig:
     shape: str = "quadratic"
     precision: str = "float64"
     allow_large_courant: bool = False
+    law: str = DRUCKER_PRAGER
 
     def __post_init__(self) -> None:
         for name in ("cell_size", "courant"):
@@ -86,6 +89,9 @@ class MPMConfig:
                 f"mpm: courant {self.courant:g} is above the limit of {COURANT_LIMIT:g}; choose a smaller one or set "
                 f"allow_large_courant=true."
             )
+        if not isinstance(self.law, str):
+            raise InputError(f"mpm: law must be a name, not {self.law!r}.")
+        find_law(self.law)
 
     @property
     def spacing(self) -> float:

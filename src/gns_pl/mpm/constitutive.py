@@ -103,6 +103,25 @@ def return_map(pressure, root_j2, shear, bulk, friction_slope, cohesion_intercep
 
 
 @compiled
+def material_law(
+    pressure, root_j2, shear_rate, dt, shear, bulk, friction_slope, cohesion_intercept, dilation_slope, tension
+):
+    """Return the admissible pressure [Pa] and the factor of the deviator of a trial state.
+
+    A law of one's own stands in this function's place, with its arguments (`laws`, docs/extend.md). The law here is
+    `return_map`, which depends neither on rate nor on time step.
+
+    Args:
+        pressure: signed trial pressure [Pa].
+        root_j2: √J2 of the trial deviator [Pa].
+        shear_rate: √(2 dev D : dev D) of the step [1/s].
+        dt: time step [s].
+        shear, bulk, …, tension: see `return_map`.
+    """
+    return return_map(pressure, root_j2, shear, bulk, friction_slope, cohesion_intercept, dilation_slope, tension)
+
+
+@compiled
 def update_stress(
     sxx, syy, szz, sxy, syz, szx, pressure, lxx, lxy, lxz, lyx, lyy, lyz, lzx, lzy, lzz, dt,
     shear, bulk, friction_slope, cohesion_intercept, dilation_slope, tension,
@@ -132,5 +151,9 @@ def update_stress(
     tzx = szx + shear * dt * (lzx + lxz) + wzx * (sxx - szz) - wyz * sxy + wxy * syz
     trial = pressure - bulk * dt * trace
     root_j2 = math.sqrt(0.5 * (txx * txx + tyy * tyy + tzz * tzz) + txy * txy + tyz * tyz + tzx * tzx)
-    trial, factor = return_map(trial, root_j2, shear, bulk, friction_slope, cohesion_intercept, dilation_slope, tension)
+    axx, ayy, azz, axy, ayz, azx = lxx - mean, lyy - mean, lzz - mean, lxy + lyx, lyz + lzy, lzx + lxz
+    shear_rate = math.sqrt(2.0 * (axx * axx + ayy * ayy + azz * azz) + axy * axy + ayz * ayz + azx * azx)
+    trial, factor = material_law(
+        trial, root_j2, shear_rate, dt, shear, bulk, friction_slope, cohesion_intercept, dilation_slope, tension
+    )
     return factor * txx, factor * tyy, factor * tzz, factor * txy, factor * tyz, factor * tzx, trial

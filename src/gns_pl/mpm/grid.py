@@ -17,6 +17,7 @@ import numpy as np
 from numba import prange
 
 from gns_pl.mpm.compiled import compiled, variant
+from gns_pl.mpm.laws import DRUCKER_PRAGER, Law, find_law, law_names
 from gns_pl.mpm.obstacles import OBSTACLE_BAND, hold_at_obstacle
 from gns_pl.mpm.shape import linear_axis_shape
 from gns_pl.mpm.transfer import grid_to_points, points_to_grid
@@ -242,17 +243,23 @@ SHAPES = {"quadratic": {}, "linear": {"axis_shape": linear_axis_shape}}
 """Shape functions → what names mean in their kernels."""
 
 
-@cache
-def make_advance(shape: str, precision: str, parallel: bool) -> Any:
-    """Return `advance_steps` compiled for shape functions, floating type and one or more threads.
+def make_advance(shape: str, precision: str, parallel: bool, law: str = DRUCKER_PRAGER) -> Any:
+    """Return `advance_steps` compiled for shape functions, floating type, one or more threads and a material law.
 
     Args:
         shape: one of `SHAPES`.
         precision: "float64" or "float32".
         parallel: run its shares on threads of their own.
+        law: as of `laws.find_law`.
     """
-    if shape == "quadratic" and precision == "float64":
+    return _make_advance(shape, precision, parallel, find_law(law))
+
+
+@cache
+def _make_advance(shape: str, precision: str, parallel: bool, law: Law | None) -> Any:
+    if shape == "quadratic" and precision == "float64" and law is None:
         return compiled(advance_steps, "parallel", parallel=True) if parallel else advance
-    name = f"{shape}-{precision}"
-    kernel = variant(advance, precision, SHAPES[shape], lambda function: compiled(function, name))
+    name = f"{shape}-{precision}" + (f"-{law.digest}" if law else "")
+    names = {**SHAPES[shape], **law_names(law)}
+    kernel = variant(advance, precision, names, lambda function: compiled(function, name))
     return compiled(kernel.py_func, f"{name}-parallel", parallel=True) if parallel else kernel

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.mpm.compiled import compiled
-from gns_pl.mpm.walls import STICK, clearance, normal_velocity, slip_factor
+from gns_pl.mpm.walls import STICK, clearance, normal_velocity, slip_factor, wall_number
 from gns_pl.scene import Plane, Scene
 
 PLANE, CUBOID = 0.0, 1.0
@@ -53,7 +53,7 @@ def obstacle_table(scene: Scene, lower: tuple[float, ...], axes: tuple[int, ...]
             first[list(axes)] = np.array(obstacle.position) - np.array(lower)[list(axes)]
             second[list(axes)] = first[list(axes)] + obstacle.size
         row[1:4], row[4:7] = first, second
-        row[7] = STICK if obstacle.wall.condition == "stick" else obstacle.wall.friction
+        row[7] = wall_number(obstacle.wall)
     return table
 
 

@@ -208,15 +208,14 @@ def make_state(scene: Scene, particles: Particles, grid: Grid, config: MPMConfig
 def make_setting(scene: Scene, grid: Grid, config: MPMConfig, dt: float) -> tuple[Any, ...]:
     """Return what stays the same over all steps: the other arguments of `grid.advance_steps` up to `dt`."""
     from gns_pl.mpm.obstacles import obstacle_table
-    from gns_pl.mpm.walls import STICK
+    from gns_pl.mpm.walls import wall_number
 
     gravity, friction = [0.0, 0.0, 0.0], np.zeros((3, 2))
     faces = FACES[scene.dim]
     for number, axis in enumerate(grid.axes):
         gravity[axis] = scene.gravity[number]
         for side in (0, 1):
-            wall = scene.walls[faces[2 * number + side]]
-            friction[axis, side] = STICK if wall.condition == "stick" else wall.friction
+            friction[axis, side] = wall_number(scene.walls[faces[2 * number + side]])
     affine_fraction, own = TRANSFERS[config.transfer]
     real = np.dtype(config.precision).type
     return (

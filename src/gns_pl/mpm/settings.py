@@ -145,9 +145,36 @@ def compile_solver(scene: Scene, mpm: Mapping[str, Any], *, frame_interval: floa
         )
 
 
+def solver_version(mpm: Mapping[str, Any] | None = None) -> str:
+    """Return the package's version and a hash of the sources that decide what a simulation gives.
+
+    Args:
+        mpm: settings of the solver; a material law of one's own among them adds a hash of its code.
+
+    Raises:
+        InputError: an unknown law.
+    """
+    law = law_digest(mpm or {})
+    return _own_version() + (f".{law}" if law else "")
+
+
+def law_digest(mpm: Mapping[str, Any]) -> str:
+    """Return the hash of the code of a material law of one's own; "" for the shipped law.
+
+    Args:
+        mpm: settings of the solver.
+
+    Raises:
+        InputError: an unknown law.
+    """
+    from gns_pl.mpm.laws import DRUCKER_PRAGER, find_law
+
+    law = find_law(mpm.get("law", DRUCKER_PRAGER))
+    return law.digest if law else ""
+
+
 @cache
-def solver_version() -> str:
-    """Return the package's version and a hash of the sources that decide what a simulation gives."""
+def _own_version() -> str:
     package = Path(gns_pl.__file__).parent
     digest = hashlib.sha256()
     for path in [*sorted((package / "mpm").rglob("*.py")), package / "scene" / "filling.py"]:

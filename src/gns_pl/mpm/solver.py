@@ -234,7 +234,7 @@ def _advance(config: MPMConfig, num_threads: int) -> Iterator[Callable[..., int]
     most = numba.config.NUMBA_NUM_THREADS
     if not 1 <= num_threads <= most:
         raise InputError(f"mpm: num_threads must lie between 1 and {most}, not {num_threads}.")
-    advance = make_advance(config.shape, config.precision, num_threads > 1)
+    advance = make_advance(config.shape, config.precision, num_threads > 1, config.law)
     if num_threads == 1:
         yield advance
         return

@@ -1,4 +1,4 @@
-"""A material point run that stops at every frame, so that somebody may look at its points and push them."""
+"""A material point run that stops at every frame, so that its points may be read and their velocities changed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ class SteppedRun:
         self.plan = make_plan(scene, particles, config, interval)
         self._state = make_state(scene, particles, self.plan.grid, config)
         setting = make_setting(scene, self.plan.grid, config, self.plan.dt)
-        self._advance = partial(make_advance(config.shape, config.precision, False), *self._state, *setting, 1)
+        self._advance = partial(
+            make_advance(config.shape, config.precision, False, config.law), *self._state, *setting, 1
+        )
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -73,8 +75,8 @@ class SteppedRun:
         for name, index in SAVED.items():
             self._state[index][:] = saved[name]
 
-    def push(self, velocity: NDArray[Any]) -> None:
-        """Add velocities to the points'; their places, stress and affine momentum stay.
+    def add_velocity(self, velocity: NDArray[Any]) -> None:
+        """Add velocities to those of the points; their positions, stress and affine momentum stay.
 
         Args:
             velocity: [N, D] [m/s].
@@ -95,8 +97,8 @@ def geostatic_stress(scene: Scene, particles: Particles, load: NDArray[np.floati
         load: what each point carries; negative ones count as none [N] [Pa].
     """
     materials = list(scene.materials.values())
-    sine = np.array([math.sin(math.radians(each.friction_angle_deg)) for each in materials])
-    elastic = np.array([each.poisson_ratio / (1 - each.poisson_ratio) for each in materials])
+    sine = np.array([math.sin(math.radians(material.friction_angle_deg)) for material in materials])
+    elastic = np.array([material.poisson_ratio / (1 - material.poisson_ratio) for material in materials])
     ratio = np.maximum(elastic, (math.sqrt(3) - sine) / (math.sqrt(3) + 2 * sine))[particles.material_name]
     vertical = np.maximum(load, 0.0)
     pressure = vertical * (1 + 2 * ratio) / 3

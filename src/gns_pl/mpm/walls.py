@@ -10,11 +10,27 @@ where the shape functions of its first points begin, and heaps that fell would f
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from gns_pl.mpm.compiled import compiled
+from gns_pl.scene import Wall
 
 STICK = -1.0
 """Marks a sticking face in the table of friction coefficients; 0 is slip."""
+
+NUMBERS: dict[str, Callable[[float], float]] = {
+    "stick": lambda coefficient: STICK,
+    "slip": lambda coefficient: 0.0,
+    "friction": lambda coefficient: coefficient,
+}
+"""Condition of a wall → the one number by which kernels know its law and coefficient: Coulomb's coefficient if it is at
+least 0, another law if it is negative."""
+
+
+def wall_number(wall: Wall) -> float:
+    """Return the number of a wall in the table of friction coefficients."""
+    return NUMBERS[wall.condition](wall.friction)
+
 
 STICK_REACH = 0.1
 """A sticking face holds material whose nearest point has moved off by up to this part of its radius: stretched a

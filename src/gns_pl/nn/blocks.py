@@ -51,8 +51,8 @@ class _Blocks:
         self.node = node.new_empty(number, width)
         self.received = node.new_empty(number if self.layers else 0, width)
         self.sending, self.receiving = torch.empty_like(self.received), torch.empty_like(self.received)
-        kept = len(self.layers) > 1
-        self.state = node.new_empty(len(edge) if kept else 0, width)
+        keeps_state = len(self.layers) > 1
+        self.state = node.new_empty(len(edge) if keeps_state else 0, width)
         self.output = node.new_empty(number, cast(nn.Linear, network.decoder[-1]).out_features)
         start = edges.start.numpy()
         block = max(1, BLOCK_BYTES // (4 * width))

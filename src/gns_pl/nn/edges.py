@@ -130,7 +130,7 @@ def _norm_backward(
 ) -> None:
     width = normal.shape[1]
     share = np.float32(1) / np.float32(width)
-    kept = to_updated.shape[0] > 0
+    has_edges = to_updated.shape[0] > 0
     above = np.empty(width, dtype=np.float32)
     # Sums over the edges of one node first: float32 sums over all edges would lose digits.
     node_weight, node_bias = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
@@ -140,7 +140,7 @@ def _norm_backward(
         for e in range(start[i], start[i + 1]):
             for c in range(width):
                 above[c] = to_received[i, c]
-            if kept:
+            if has_edges:
                 for c in range(width):
                     above[c] += to_updated[e, c]
             mean, along = np.float32(0), np.float32(0)
@@ -213,8 +213,8 @@ class _NormAndSum(torch.autograd.Function):
         normal, inverse, weight = ctx.saved_tensors
         to_value = torch.empty_like(normal)
         to_weight, to_bias = weight.new_zeros(2, len(ctx.edges.parts), len(weight))
-        kept = to_updated.contiguous() if ctx.keep else normal.new_empty(0, normal.shape[1])
-        arrays = _arrays(kept, to_received.contiguous(), normal, inverse, weight, ctx.edges.start, to_value)
+        saved = to_updated.contiguous() if ctx.keep else normal.new_empty(0, normal.shape[1])
+        arrays = _arrays(saved, to_received.contiguous(), normal, inverse, weight, ctx.edges.start, to_value)
         ctx.edges.share(_norm_backward, lambda part: [*arrays, *_arrays(to_weight[part], to_bias[part])])
         return to_value, to_weight.sum(dim=0), to_bias.sum(dim=0), None, to_updated if ctx.keep else None, None, None
 

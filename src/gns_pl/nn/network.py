@@ -6,18 +6,14 @@ has to be edited for it (docs/extend.md).
 
 from __future__ import annotations
 
-import importlib
-import sys
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-
-T = TypeVar("T")
+from gns_pl.extensions import imported
 
 
 class Network(nn.Module):
@@ -92,31 +88,3 @@ def build_network(network: str | Mapping[str, Any], **shape: int) -> Network:
         return kind(**shape, **options)
     except TypeError as error:
         raise InputError(f"model.network={kind.__name__}: {error}.") from error
-
-
-def imported(name: str, kind: type[T], key: str, known: list[str]) -> type[T]:
-    """Return a class by its dotted name, from an installed package or from a file in the working folder.
-
-    Args:
-        name: "module.Class".
-        kind: what it has to be.
-        key: of the setting that names it, for messages.
-        known: names that need no module, for messages.
-
-    Raises:
-        InputError: no such module, no such class in it, or a class of another kind.
-    """
-    module, _, attribute = name.rpartition(".")
-    if not module:
-        raise InputError(f"{key} must be one of {', '.join(known)}, or MODULE.CLASS of your own, not {name!r}.")
-    here = str(Path.cwd())
-    sys.path.append(here)
-    try:
-        found = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise InputError(f"{key}={name}: {error}; it is looked for among packages and in {here}.") from error
-    finally:
-        sys.path.remove(here)
-    if not (isinstance(found, type) and issubclass(found, kind)):
-        raise InputError(f"{key}={name}: is no subclass of {kind.__module__}.{kind.__name__}.")
-    return found

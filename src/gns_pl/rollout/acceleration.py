@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
-from gns_pl.graph import NeighbourList, Static, radius_graph
+from gns_pl.graph import NeighbourList, SceneBatch, radius_graph
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.simulator import Evaluation, Simulator
 from gns_pl.nn import EncodeProcessDecode, network_class
@@ -26,7 +26,7 @@ EDGE_BUDGET = 8192
 """A compiled network sees numbers of edges that are multiples of this, so that it is compiled for few of them."""
 
 
-ROOM = 1.2
+HEADROOM = 1.2
 """A captured step has room for so many times the edges that there were when it was captured."""
 
 
@@ -102,7 +102,7 @@ class CapturedStepper:
         self._stepper = SimulatorStepper(simulator, self._search, network)
         self.normalised = torch.empty(0)
         self._graph: torch.cuda.CUDAGraph | None = None
-        self._static: Static | None = None
+        self._scenes: SceneBatch | None = None
         self._history = self._position = torch.empty(0)
 
     @property
@@ -120,23 +120,23 @@ class CapturedStepper:
         """Of the simulator's weights."""
         return self._stepper.device
 
-    def __call__(self, history: Tensor, static: Static) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator."""
-        if self._graph is None or self._static is not static or self._history.shape != history.shape:
-            self._capture(history, static)
+        if self._graph is None or self._scenes is not scenes or self._history.shape != history.shape:
+            self._capture(history, scenes)
         while True:
             self._history.copy_(history)
             cast(torch.cuda.CUDAGraph, self._graph).replay()
             if int(self._search.wanted) <= self._search.capacity:
                 return self._position.clone()
-            self._capture(history, static)
+            self._capture(history, scenes)
 
-    def _capture(self, history: Tensor, static: Static) -> None:
+    def _capture(self, history: Tensor, scenes: SceneBatch) -> None:
         self._graph = None  # its memory goes back first
         config = self.config
-        self._search(history[:, -1], config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
-        self._search.capacity = EDGE_BUDGET * math.ceil(ROOM * int(self._search.wanted) / EDGE_BUDGET + 1)
-        self._history, self._static = history.clone(), static
+        self._search(history[:, -1], config.connectivity_radius, scenes.batch, num_graphs=scenes.num_graphs)
+        self._search.capacity = EDGE_BUDGET * math.ceil(HEADROOM * int(self._search.wanted) / EDGE_BUDGET + 1)
+        self._history, self._scenes = history.clone(), scenes
         stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
         stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(stream):
@@ -149,9 +149,9 @@ class CapturedStepper:
         self._graph = graph
 
     def _step(self) -> None:
-        static = cast(Static, self._static)
-        self.normalised = self._stepper.normalised_acceleration(self._history, static)
-        self._position = self._stepper.simulator.integrate(self._history, self.normalised, static)
+        scenes = cast(SceneBatch, self._scenes)
+        self.normalised = self._stepper.normalised_acceleration(self._history, scenes)
+        self._position = self._stepper.simulator.integrate(self._history, self.normalised, scenes)
 
 
 def _compile(network: nn.Module) -> nn.Module:

@@ -19,7 +19,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, radius_graph
+from gns_pl.graph import SceneBatch, radius_graph
 from gns_pl.nn import Network
 from gns_pl.rollout.stepper import Stepper, opened
 
@@ -106,9 +106,9 @@ class SlabStepper:
         self._network.exchange = self._exchange
         self._stepper = replace(single, search=self._search, network=self._evaluate)
 
-    def __call__(self, history: Tensor, static: Static) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later [N, D] [m]; arguments as the simulator's."""
-        position = self._stepper(history, static)
+        position = self._stepper(history, scenes)
         others = torch.ones(len(position), dtype=torch.bool, device=position.device)
         others[self._current.own] = False
         position[others] = 0.0
@@ -181,7 +181,7 @@ def processes(device: torch.device) -> Iterator[tuple[int, int]]:
         dist.destroy_process_group()
 
 
-def meet() -> None:
+def barrier() -> None:
     """Wait until all processes are here; alone, go on."""
     if dist.is_initialized():
         dist.barrier()

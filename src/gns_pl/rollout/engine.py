@@ -18,7 +18,7 @@ from torch import Tensor
 
 from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.machine import machine_name
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.rollout.failure import Failure, Watch
@@ -45,14 +45,14 @@ class Run:
     made: int = 0
 
 
-def static_of(*trajectories: Trajectory) -> Static:
+def static_of(*trajectories: Trajectory) -> SceneBatch:
     """Return the time-independent tensors of trajectories, one scene each."""
     scenes = [trajectory.scene for trajectory in trajectories]
     numbers = torch.tensor([trajectory.num_particles for trajectory in trajectories])
-    return Static(
-        particle_type=torch.cat([torch.from_numpy(each.particle_type) for each in trajectories]),
-        material=torch.cat([torch.from_numpy(each.material) for each in trajectories]),
-        volume=torch.cat([torch.from_numpy(each.volume()) for each in trajectories]),
+    return SceneBatch(
+        particle_type=torch.cat([torch.from_numpy(trajectory.particle_type) for trajectory in trajectories]),
+        material=torch.cat([torch.from_numpy(trajectory.material) for trajectory in trajectories]),
+        volume=torch.cat([torch.from_numpy(trajectory.volume()) for trajectory in trajectories]),
         lower=torch.tensor([scene.lower for scene in scenes], dtype=torch.float32),
         upper=torch.tensor([scene.upper for scene in scenes], dtype=torch.float32),
         gravity=torch.tensor([scene.gravity for scene in scenes], dtype=torch.float32),
@@ -71,11 +71,11 @@ def history_of(run: Run, config: SimulatorConfig, frames: int = 0) -> Tensor:
         frames: that are wanted, if more than H: of those before, the ones that were never made are NaN.
     """
     length, start = config.input_sequence_length, run.start
-    made = start.position[:1] if run.past is None else run.past[-max(length, frames) :]
+    recent = start.position[:1] if run.past is None else run.past[-max(length, frames) :]
     before = ballistic_history(start.position[0], start.initial_velocity, config.dt, length)[:-1]
     # A run that goes on early still looks back before its first frame, as the single run does.
-    positions = np.concatenate([before, made])[-max(length, frames) :]
-    missing = np.full((max(0, frames - len(positions)), *made.shape[1:]), np.nan)
+    positions = np.concatenate([before, recent])[-max(length, frames) :]
+    missing = np.full((max(0, frames - len(positions)), *recent.shape[1:]), np.nan)
     positions = np.concatenate([missing, positions]).astype(np.float32)
     return torch.from_numpy(positions).transpose(0, 1).contiguous()
 
@@ -131,14 +131,14 @@ def unroll(
     histories = {number: history_of(runs[number], stepper.config, length).to(device) for number in active}
     count = 0
     while active:
-        static = static_of(*(runs[number].start for number in active)).to(device)
+        scenes = static_of(*(runs[number].start for number in active)).to(device)
         history = torch.cat([histories[number] for number in active])
         lengths = [runs[number].start.num_particles for number in active]
-        scripted = torch.nonzero(~static.moved)[:, 0]
+        scripted = torch.nonzero(~scenes.moved)[:, 0]
         going = active
         while going == active:
             count += 1
-            position = stepper(history, static)
+            position = stepper(history, scenes)
             if len(scripted):
                 frames = [runs[number].start.position[runs[number].made + count] for number in active]
                 position = position.index_put((scripted,), _tensor(frames, device)[scripted])
@@ -230,7 +230,7 @@ def run_to_end(
                     when = (runs[number].made + steps) * dt
                     failure = Failure("not finite", when, f"positions were no longer finite at {when:.3g} s")
                 if failure is not None:
-                    end(number, {"failed_at": failure.time, "failure": failure.sentence})
+                    end(number, {"failed_at": failure.time, "failure": failure.message})
                 elif runs[number].num_steps == steps:
                     end(number, {})
             if on_step is not None:

@@ -1,8 +1,8 @@
-"""When a run has failed: five conditions that no passive sand meets, looked at frame by frame.
+"""When a run has failed: five unphysical states, checked frame by frame.
 
 They are the same for the material point method and for learned simulators, need no reference, and stop a rollout with
-a sentence in place of letting it explode in silence. A run that meets none may still be wrong: `familiarity` and a
-look at MPM are for that.
+a message before it diverges. A run that meets none may still be wrong: its distance from the training data
+(docs/trust.md) and a run of MPM tell more.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ class Failure:
     Attributes:
         kind: one of `KINDS`.
         time: of the frame [s].
-        sentence: what was seen, and the limit.
+        message: what was seen, and the limit.
     """
 
     kind: str
     time: float
-    sentence: str
+    message: str
 
 
 class Watch:
@@ -128,10 +128,10 @@ class Watch:
             self._before = position
             return None
         current = np.asarray(position, dtype=np.float64)
-        found = self._first(current)
-        if found is not None:
+        problem = self._first(current)
+        if problem is not None:
             time = self._frame * self._dt
-            self.failure = Failure(found[0], time, f"{found[1]} at {time:.3g} s")
+            self.failure = Failure(problem[0], time, f"{problem[1]} at {time:.3g} s")
         self._before = current
         return self.failure
 

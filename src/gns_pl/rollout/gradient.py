@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.models.simulator import Simulator
 
 
@@ -22,20 +22,20 @@ def differentiable_rollout(
     simulator: Simulator,
     position: Tensor,
     velocity: Tensor,
-    static: Static,
+    scenes: SceneBatch,
     num_steps: int,
     *,
     recompute: bool = True,
 ) -> Tensor:
     """Return the positions of every frame, with derivatives by whatever of the input requires them.
 
-    Weights, positions, velocities and `static.material` can; e.g. tan φ is a material feature.
+    Weights, positions, velocities and `scenes.material` can; e.g. tan φ is a material feature.
 
     Args:
         simulator: makes one step; its weights' precision is the rollout's, whatever that of the input is.
         position: first frame [N, D] [m].
         velocity: of the first frame [N, D] [m/s].
-        static: the scenes.
+        scenes: those that are stepped.
         num_steps: frames to add.
         recompute: make every step a second time on the way back; else all its states are kept, which takes less time
             and T · E · L numbers of memory.
@@ -44,16 +44,16 @@ def differentiable_rollout(
         [num_steps + 1, N, D] [m].
     """
     config, dtype = simulator.config, simulator.velocity_scale.dtype
-    position, velocity, static = position.to(dtype), velocity.to(dtype), static.in_precision(dtype)
+    position, velocity, scenes = position.to(dtype), velocity.to(dtype), scenes.in_precision(dtype)
     before = torch.arange(config.input_sequence_length - 1, -1, -1, dtype=position.dtype, device=position.device)
     history = position[:, None] - before[:, None] * (velocity * config.dt)[:, None]
     frames = [position]
     for _ in range(num_steps):
-        # `static` is not an argument for autograd to see, but its tensors are recorded when the step is made again.
+        # `scenes` is not an argument for autograd to see, but its tensors are recorded when the step is made again.
         if recompute:
-            frame = cast(Tensor, checkpoint(simulator, history, static, use_reentrant=False))
+            frame = cast(Tensor, checkpoint(simulator, history, scenes, use_reentrant=False))
         else:
-            frame = simulator(history, static)
+            frame = simulator(history, scenes)
         frames.append(frame)
         history = torch.cat([history[:, 1:], frame[:, None]], dim=1)
     return torch.stack(frames)

@@ -14,7 +14,7 @@ from gns_pl.nn import network_class
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.rollout.stepper import Stepper
 
-ROOM = 1.2
+HEADROOM = 1.2
 """More edges than at the start: a heap is denser than a body at rest before it falls."""
 
 
@@ -66,23 +66,23 @@ def check_memory(stepper: Stepper, runs: list[Run], share: float = 1.0) -> str:
         InputError: less is free than is needed.
     """
     config, device = stepper.config, stepper.device
-    static = static_of(*(run.start for run in runs))
+    scenes = static_of(*(run.start for run in runs))
     position = torch.cat([history_of(run, config)[:, -1] for run in runs])
-    radius, graphs = config.connectivity_radius, static.num_graphs
-    edges = radius_graph(position, radius, static.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
+    radius, graphs = config.connectivity_radius, scenes.num_graphs
+    edges = radius_graph(position, radius, scenes.batch, backend=config.neighbours, num_graphs=graphs).shape[1]
     blocks = device.type == "cpu" and network_class(config.network).blocked
-    nodes = math.prod(static.grid(radius).shape) if config.context else 0
+    nodes = math.prod(scenes.grid(radius).shape) if config.context else 0
     needed = estimate_bytes(
-        config, len(position), int(ROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share
+        config, len(position), int(HEADROOM * edges), in_blocks=blocks, nodes=nodes, boxes=graphs, share=share
     )
     free = _free_bytes(device)
-    said = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"
+    description = f"{len(position):,} particles, {edges:,} edges, about {needed / 1e9:.2g} GB a step"
     if needed > free:
         raise InputError(
-            f"{said}, but {free / 1e9:.3g} GB are free on {device}; take fewer scenes at once, a coarser simulator, or "
-            "more devices."
+            f"{description}, but {free / 1e9:.3g} GB are free on {device}; take fewer scenes at once, a coarser "
+            "simulator, or more devices."
         )
-    return f"{said} of {free / 1e9:.3g} GB free"
+    return f"{description} of {free / 1e9:.3g} GB free"
 
 
 def _free_bytes(device: torch.device) -> int:

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, radius_graph
+from gns_pl.graph import SceneBatch, radius_graph
 from gns_pl.rollout.stepper import Stepper, opened
 
-STEPS = 5
+REST_STEPS = 5
 """A particle that was still for so many steps sleeps; a scene whose particles all were is at rest."""
 
 
@@ -24,7 +24,7 @@ class Rest:
 
     Args:
         speed: below which a particle is at rest [m/s].
-        share: of a scene's particles that have to be, for `STEPS` steps in a row.
+        share: of a scene's particles that have to be, for `REST_STEPS` steps in a row.
 
     Attributes:
         rested: numbers of the scenes that have come to rest.
@@ -49,7 +49,7 @@ class Rest:
         slow = (after - before).square().sum(dim=1) < (self.speed * dt) ** 2
         still = bool(slow.float().mean() >= self.share)
         self._still[scene] = self._still.get(scene, 0) + 1 if still else 0
-        if self._still[scene] >= STEPS:
+        if self._still[scene] >= REST_STEPS:
             self.rested.add(scene)
         return scene in self.rested
 
@@ -75,18 +75,18 @@ class SleepingStepper:
             self._search, self._network = self._open.search, self._open.network
             self._stepper = replace(self._open, search=self._find, network=self._evaluate)
         self.config, self.device, self.speed = stepper.config, stepper.device, speed
-        self.history_length = max(stepper.history_length, STEPS + 1)
+        self.history_length = max(stepper.history_length, REST_STEPS + 1)
         self.awake = self._reached = self._moving = torch.empty(0, dtype=torch.bool)
 
-    def __call__(self, history: Tensor, static: Static) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         step, config = self.speed * self.config.dt, self.config
-        slow = history[:, -STEPS - 1 :].diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
-        self._moving = ~slow.all(dim=1) if history.shape[1] > STEPS else torch.ones_like(slow[:, 0])
+        slow = history[:, -REST_STEPS - 1 :].diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
+        self._moving = ~slow.all(dim=1) if history.shape[1] > REST_STEPS else torch.ones_like(slow[:, 0])
         recent = history[:, -self._stepper.history_length :]
         if self._open is None:
-            self._find(recent[:, -1], config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
-        position = self._stepper(recent, static)  # finds out who is awake
+            self._find(recent[:, -1], config.connectivity_radius, scenes.batch, num_graphs=scenes.num_graphs)
+        position = self._stepper(recent, scenes)  # finds out who is awake
         return torch.where(self.awake[:, None], position, history[:, -1])
 
     def _find(self, *arguments: object, **settings: object) -> Tensor:
@@ -103,11 +103,11 @@ class SleepingStepper:
         reached = self._reached
         if bool(reached.all()):
             return self._network(node, edge, edge_index)
-        kept = reached[edge_index[1]]
-        edge_index, edge = edge_index[:, kept], edge[kept]
-        seen = reached.index_fill(0, edge_index[0], True)
-        number = seen.cumsum(0) - 1
-        output = self._network(node[seen], edge, number[edge_index])
+        passed = reached[edge_index[1]]
+        edge_index, edge = edge_index[:, passed], edge[passed]
+        visible = reached.index_fill(0, edge_index[0], True)
+        number = visible.cumsum(0) - 1
+        output = self._network(node[visible], edge, number[edge_index])
         whole = output.new_zeros(len(node), output.shape[1])
-        whole[seen] = output
+        whole[visible] = output
         return whole

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Static, radius_graph
+from gns_pl.graph import SceneBatch, radius_graph
 from gns_pl.rollout.rest import SleepingStepper
 from gns_pl.rollout.stepper import Stepper
 
@@ -25,8 +25,8 @@ def stabilise(
     stepper: Stepper,
     *,
     sleep: float = 0.0,
-    least_distance: float = 0.0,
-    passive: bool = False,
+    min_distance: float = 0.0,
+    energy_limiter: bool = False,
 ) -> Stepper:
     """Return what makes the same steps, where these stay within what sand can do.
 
@@ -35,20 +35,20 @@ def stabilise(
     Args:
         stepper: stays as it is; `acceleration.accelerate` goes first.
         sleep: particles slower than this for some steps, their neighbours too, stay where they are (`rest`) [m/s].
-        least_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
-        passive: a step that raises the energy of motion and height has its velocities scaled down, all of a scene's by
-            one factor, until it does not.
+        min_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
+        energy_limiter: a step that raises the energy of motion and height has its velocities scaled down, all of a
+            scene's by one factor, until it does not.
 
     Raises:
         InputError: a negative limit, or distances that no filling keeps.
     """
-    if not 0 <= least_distance < 1:
-        raise InputError(f"stabilise.least_distance must lie in [0, 1) spacings, not {least_distance}.")
+    if not 0 <= min_distance < 1:
+        raise InputError(f"stabilise.min_distance must lie in [0, 1) spacings, not {min_distance}.")
     if not sleep >= 0:
         raise InputError(f"stabilise.sleep must be a speed of 0 or more, not {sleep}.")
-    if stepper.config.exact_steps or not (sleep or least_distance or passive):
+    if stepper.config.exact_steps or not (sleep or min_distance or energy_limiter):
         return stepper
-    return StableStepper(SleepingStepper(stepper, sleep) if sleep else stepper, least_distance, passive)
+    return StableStepper(SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter)
 
 
 class StableStepper:
@@ -56,31 +56,31 @@ class StableStepper:
 
     Args:
         stepper: makes the steps, without gradients.
-        least_distance: as of `stabilise`.
-        passive: as of `stabilise`.
+        min_distance: as of `stabilise`.
+        energy_limiter: as of `stabilise`.
     """
 
-    def __init__(self, stepper: Stepper, least_distance: float, passive: bool) -> None:
-        self._stepper, self.least_distance, self.passive = stepper, least_distance, passive
+    def __init__(self, stepper: Stepper, min_distance: float, energy_limiter: bool) -> None:
+        self._stepper, self.min_distance, self.energy_limiter = stepper, min_distance, energy_limiter
         self.config, self.device, self.history_length = stepper.config, stepper.device, stepper.history_length
 
-    def __call__(self, history: Tensor, static: Static) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
-        position = self._stepper(history, static)
-        if self.least_distance:
-            position = self._apart(position, static)
-        if self.passive:
-            position = self._dissipating(history, position, static)
-        return torch.where(static.moved[:, None], position, history[:, -1])
+        position = self._stepper(history, scenes)
+        if self.min_distance:
+            position = self._apart(position, scenes)
+        if self.energy_limiter:
+            position = self._dissipating(history, position, scenes)
+        return torch.where(scenes.moved[:, None], position, history[:, -1])
 
-    def _apart(self, position: Tensor, static: Static) -> Tensor:
+    def _apart(self, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Move particles apart that are too close, each by half of what is missing, some times over."""
-        least = self.least_distance * self.config.spacing
-        lower, upper = static.of_particles(static.lower), static.of_particles(static.upper)
+        least = self.min_distance * self.config.spacing
+        lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
         if not bool(torch.isfinite(position).all()):
             return position
         for _ in range(SWEEPS):
-            sender, receiver = radius_graph(position, least, static.batch, num_graphs=static.num_graphs)
+            sender, receiver = radius_graph(position, least, scenes.batch, num_graphs=scenes.num_graphs)
             if len(sender) == 0:
                 break
             away = position[receiver] - position[sender]
@@ -88,11 +88,11 @@ class StableStepper:
             aside = torch.zeros_like(away)  # for two in one place: the one of the higher number goes up
             aside[:, -1] = torch.where(receiver > sender, 1.0, -1.0)
             direction = torch.where(distance > 1e-6 * least, away / distance.clamp_min(1e-12), aside)
-            push = torch.zeros_like(position).index_add_(0, receiver, 0.5 * (least - distance) * direction)
-            position = torch.clamp(position + push, lower, upper)
+            shift = torch.zeros_like(position).index_add_(0, receiver, 0.5 * (least - distance) * direction)
+            position = torch.clamp(position + shift, lower, upper)
         return position
 
-    def _dissipating(self, history: Tensor, position: Tensor, static: Static) -> Tensor:
+    def _dissipating(self, history: Tensor, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Scale the velocities of scenes whose energy rose, by the largest s in [0, 1] with E(s) ≤ E_before.
 
         E(s) = Σ m (s² v²/2 − g · (x + s v Δt/2)) is quadratic in s: the energy in the middle of the step, which free
@@ -100,23 +100,23 @@ class StableStepper:
         kinematic particles move they do work, and nothing is scaled.
         """
         dt, before, earlier = self.config.dt, history[:, -1], history[:, -2]
-        gravity, weight = static.of_particles(static.gravity), static.volume
-        lowest = static.of_particles(torch.where(static.gravity > 0, static.upper, static.lower))
+        gravity, weight = scenes.of_particles(scenes.gravity), scenes.volume
+        lowest = scenes.of_particles(torch.where(scenes.gravity > 0, scenes.upper, scenes.lower))
         velocity, past = (position - before) / dt, (before - earlier) / dt
-        quadratic = self._sum(weight, velocity.square().sum(1) / 2, static)
-        linear = -self._sum(weight, (gravity * velocity).sum(1) * dt / 2, static)
-        height = self._sum(weight, ((lowest - before) * gravity).sum(1), static)
-        there = self._sum(weight, past.square().sum(1) / 2 + (gravity * past).sum(1) * dt / 2, static) + height
+        quadratic = self._sum(weight, velocity.square().sum(1) / 2, scenes)
+        linear = -self._sum(weight, (gravity * velocity).sum(1) * dt / 2, scenes)
+        height = self._sum(weight, ((lowest - before) * gravity).sum(1), scenes)
+        there = self._sum(weight, past.square().sum(1) / 2 + (gravity * past).sum(1) * dt / 2, scenes) + height
         allowed = there * (1 + ROUNDING) - height
         root = (linear.square() + 4 * quadratic * allowed).clamp_min(0).sqrt()
         factor = ((root - linear) / (2 * quadratic).clamp_min(1e-30)).clamp(0, 1)
-        pushed = self._sum(weight, past.square().sum(1) * ~static.moved, static) > 0
+        pushed = self._sum(weight, past.square().sum(1) * ~scenes.moved, scenes) > 0
         factor = torch.where(pushed | (quadratic + linear <= allowed), 1.0, factor)
-        factor = static.of_particles(factor[:, None])
+        factor = scenes.of_particles(factor[:, None])
         return torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
 
     @staticmethod
-    def _sum(weight: Tensor, value: Tensor, static: Static) -> Tensor:
+    def _sum(weight: Tensor, value: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the sum of a quantity over the particles of every scene [B], in double precision."""
-        total = torch.zeros(static.num_graphs, dtype=torch.float64, device=value.device)
-        return total.index_add_(0, static.batch, (weight * value).double())
+        total = torch.zeros(scenes.num_graphs, dtype=torch.float64, device=value.device)
+        return total.index_add_(0, scenes.batch, (weight * value).double())

@@ -11,7 +11,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from gns_pl.graph import Static, radius_graph
+from gns_pl.graph import SceneBatch, radius_graph
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.simulator import Evaluation, Search, Simulator
 
@@ -31,12 +31,12 @@ class Stepper(Protocol):
     def device(self) -> torch.device:
         """Where history and scenes have to be."""
 
-    def __call__(self, history: Tensor, static: Static) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later [N, D] [m].
 
         Args:
             history: positions of the last `history_length` frames, the latest last [N, ≥ H, D] [m].
-            static: the scenes.
+            scenes: those that are stepped.
         """
 
 
@@ -69,14 +69,14 @@ class SimulatorStepper:
         """Of the simulator's weights."""
         return self.simulator.device
 
-    def __call__(self, history: Tensor, static: Static) -> Tensor:
+    def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later [N, D] [m]; arguments as those of the simulator."""
-        position: Tensor = self.simulator(history, static, search=self.search, network=self.network)
+        position: Tensor = self.simulator(history, scenes, search=self.search, network=self.network)
         return position
 
-    def normalised_acceleration(self, history: Tensor, static: Static) -> Tensor:
+    def normalised_acceleration(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the network's output in the simulator's units [N, D]; arguments as those of the simulator."""
-        return self.simulator.normalised_acceleration(history, static, search=self.search, network=self.network)
+        return self.simulator.normalised_acceleration(history, scenes, search=self.search, network=self.network)
 
 
 def opened(stepper: Stepper) -> SimulatorStepper | None:

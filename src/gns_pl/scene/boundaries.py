@@ -12,7 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from gns_pl.errors import InputError
 from gns_pl.scene.checks import checked_number, checked_numbers
 
-WALL_CONDITIONS = ("stick", "slip", "friction")
+WALL_CONDITIONS = {
+    "stick": False,
+    "slip": False,
+    "friction": True,
+}
+"""What a face may do to the material → whether it has a coefficient. `mpm.walls` has the laws."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +26,7 @@ class Wall:
 
     Attributes:
         condition: "stick" (no motion), "slip" (no motion through it) or "friction" (Coulomb).
-        friction: coefficient μ of Coulomb friction; only with "friction".
+        friction: coefficient μ of Coulomb friction; only with "friction", or another condition that has a coefficient.
     """
 
     condition: str
@@ -31,13 +36,13 @@ class Wall:
         if self.condition not in WALL_CONDITIONS:
             raise InputError(f"wall: condition must be one of {', '.join(WALL_CONDITIONS)}, not {self.condition!r}.")
         object.__setattr__(self, "friction", checked_number("wall", "friction", self.friction, 0.0))
-        if self.condition != "friction" and self.friction:
+        if self.friction and not WALL_CONDITIONS[self.condition]:
             raise InputError(f'wall: friction {self.friction} needs condition "friction", not "{self.condition}".')
 
     @property
     def description(self) -> str:
-        """The condition, with the coefficient where there is friction."""
-        return f"friction {self.friction:g}" if self.condition == "friction" else self.condition
+        """The condition, with the coefficient where it has one."""
+        return f"{self.condition} {self.friction:g}" if WALL_CONDITIONS[self.condition] else self.condition
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from gns_pl.text import did_you_mean, file_label
 
 def encoded(key: str) -> str:
     """Return any key of a scene, as `walls.x+.friction`, in characters that Hydra's grammar has for keys."""
-    return re.sub(r"[^A-Za-z0-9_-]", lambda found: f"${ord(found[0]):x}$", key)
+    return re.sub(r"[^A-Za-z0-9_-]", lambda match: f"${ord(match[0]):x}$", key)
 
 
 def decoded(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return changes with their keys as they were typed; the inverse of `encoded`."""
-    return {re.sub(r"\$([0-9a-f]+)\$", lambda found: chr(int(found[1], 16)), key): changes[key] for key in changes}
+    return {re.sub(r"\$([0-9a-f]+)\$", lambda match: chr(int(match[1], 16)), key): changes[key] for key in changes}
 
 
 def changes_label(changes: Mapping[str, Any]) -> str:

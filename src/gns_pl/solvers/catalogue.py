@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError
+from gns_pl.extensions import imported
 from gns_pl.models.shipped import (
     ALIASES,
     corrector_names,
@@ -20,7 +21,6 @@ from gns_pl.models.shipped import (
     retuned_names,
 )
 from gns_pl.mpm import settings as mpm_settings
-from gns_pl.nn.network import imported
 from gns_pl.presets import preset
 from gns_pl.rollout.policy import Policy
 from gns_pl.solvers.corrected import CorrectedSolver

@@ -102,7 +102,7 @@ def corrected_frames(
             predicted = run.position
             arrays = (torch.from_numpy(array.astype(np.float32)) for array in (before, position, predicted))
             with torch.inference_mode():
-                run.push(corrector(*arrays, static).numpy())
+                run.add_velocity(corrector(*arrays, static).numpy())
             before = position
         here = {"before": before, "frame": np.array(frame)}
         yield frame, run.position.astype(np.float32), lambda: {**run.saved(), **here}  # noqa: B023
@@ -110,19 +110,19 @@ def corrected_frames(
 
 @torch.no_grad()
 def followed_run(
-    trajectory: Trajectory, corrector: Corrector, *, share: float = 1.0, catch_up: float, trust: float = 0.0
+    trajectory: Trajectory, corrector: Corrector, *, share: float = 1.0, position_gain: float, policy_mix: float = 0.0
 ) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
     """Follow a fine trajectory with a coarse run whose velocities are led to the fine ones.
 
-    Where the corrector is trusted, the run goes astray as it does with that one, and what is yielded leads back: so a
+    With a policy mix above 0 the run goes astray as it does with the corrector, and what is yielded leads back: so a
     network learns from its own mistakes (Ross, Gordon and Bagnell 2011).
 
     Args:
         trajectory: the fine one, its frames the corrector's interval apart.
         corrector: whose coarse run follows.
         share: of the missing velocity that is wanted, above 0 and up to 1.
-        catch_up: part of what places are behind that is to be caught up in an interval, besides.
-        trust: part of the velocity given that comes from the corrector, 0 to 1; the rest is what is wanted.
+        position_gain: share of what positions are behind that is to be caught up in an interval, besides.
+        policy_mix: share of the velocity given that comes from the corrector, 0 to 1; the rest is what is wanted.
 
     Yields:
         For every frame positions one interval before, from which the run went on, and to which it came [N, D] [m], and
@@ -138,11 +138,11 @@ def followed_run(
         predicted = run.position
         after = min(frame + 1, last)
         wanted = (fine[after].astype(np.float64) - fine[frame - 1]) / ((after - frame + 1) * dt)
-        velocity = share * (wanted - run.velocity) + catch_up * (fine[frame] - predicted) / dt
+        velocity = share * (wanted - run.velocity) + position_gain * (fine[frame] - predicted) / dt
         arrays = tuple(each.astype(np.float32) for each in (before, position, predicted, velocity))
         yield arrays  # type: ignore[misc]
-        if trust:
+        if policy_mix:
             learned = corrector(*map(torch.from_numpy, arrays[:3]), static).numpy()
-            velocity = (1 - trust) * velocity + trust * learned
-        run.push(velocity)
+            velocity = (1 - policy_mix) * velocity + policy_mix * learned
+        run.add_velocity(velocity)
         before = position

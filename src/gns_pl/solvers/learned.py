@@ -26,7 +26,7 @@ from gns_pl.io import file_sha256
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, move
 from gns_pl.models.geoelements import cold_start
 from gns_pl.models.shipped import find_checkpoint
-from gns_pl.rollout.distributed import meet, processes, share_of_memory
+from gns_pl.rollout.distributed import barrier, processes, share_of_memory
 from gns_pl.rollout.engine import Run, check_run, rollouts, run_to_end, unroll
 from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.memory import check_memory
@@ -252,7 +252,7 @@ class LearnedSolver(TrainedSolver):
         for run in runs:
             check_run(run, self.stepper.config)
             check_reach(run.start, self.stepper.config.connectivity_radius)
-        meet()  # all processes have seen the files as they were
+        barrier()  # all processes have seen the files as they were
         left = [(recording, run) for recording, run in zip(recordings, runs, strict=True) if not recording.is_done]
         watches = [self._watch(run) if monitor else None for _, run in left]
         if rank:

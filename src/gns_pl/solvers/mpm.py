@@ -79,12 +79,15 @@ class MPMSolver(Solver):
 
     def identity(self) -> str:
         """Return a hash of all that decides what a run gives."""
-        parts = [dict(self.settings), self.cells, self.reduces, mpm_settings.solver_version()]
+        parts = [dict(self.settings), self.cells, self.reduces, mpm_settings.solver_version(self.settings)]
         return hashed(parts if self.cell_size is None else [*parts, self.cell_size])
 
     def facts(self, scene: Scene) -> dict[str, object]:
         """Return name, version and settings."""
-        return {"solver": self.name, "version": gns_pl.__version__, "mpm": self.settings_of(scene)}
+        settings = self.settings_of(scene)
+        law = mpm_settings.law_digest(settings)  # a run is not gone on with under an edited law
+        own = {"law": law} if law else {}
+        return {"solver": self.name, "version": gns_pl.__version__, "mpm": settings, **own}
 
     def reduced(self, scene: Scene) -> Reduction:
         """Return the scene's slice, half, or the scene itself."""

@@ -87,7 +87,7 @@ def ood_message(checkpoint: Checkpoint, path: Path, reduction: Reduction | None 
         reduction: from the scene of the file to the one that was run; None if they are the same.
     """
     header = read_header(path)
-    if checkpoint.seen is None or header.num_frames * header.num_particles * header.dim > NUMBERS:
+    if checkpoint.distribution is None or header.num_frames * header.num_particles * header.dim > NUMBERS:
         return None
     run = read_trajectory(path)
     run = run if reduction is None else reduction.flatten(run)
@@ -105,9 +105,9 @@ def compute_ood(checkpoint: Checkpoint, run: Trajectory, *, every: int = 1) -> O
 
     Returns:
         None if the checkpoint does not say what its network saw, as those of before this was measured
-        (`training.seen.add_seen`).
+        (`training.distribution.add_distribution`).
     """
-    seen, simulator = checkpoint.seen, checkpoint.simulator
+    seen, simulator = checkpoint.distribution, checkpoint.simulator
     if seen is None:
         return None
     config, device = simulator.config, simulator.velocity_scale.device

@@ -53,10 +53,10 @@ class StopAtSignal(Callback):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Stop if any process was told to."""
-        told = trainer.strategy.reduce_boolean_decision(self.received is not None, all=False)
-        if told and self.received is None:
+        stopped = trainer.strategy.reduce_boolean_decision(self.received is not None, all=False)
+        if stopped and self.received is None:
             self.received = signal.SIGTERM
-        if told:
+        if stopped:
             trainer.should_stop = True
 
 
@@ -109,13 +109,13 @@ class StopAtNonFinite(Callback):
         if trainer.is_global_zero:
             # A loss that is not finite may come of weights that the step before has spoilt.
             datamodule = cast(Any, trainer).datamodule
-            windows = {made: datamodule.windows_of_step(made) for made in range(max(0, step - 1), step + 1)}
+            windows = {number: datamodule.windows_of_step(number) for number in range(max(0, step - 1), step + 1)}
             buffer = io.BytesIO()
             torch.save({"step": step, "seed": datamodule.seed, "windows": windows}, buffer)
             write_atomically(path, buffer.getbuffer())
         last = self.directory / LAST
-        kept = f"; {last} is from before" if last.is_file() else ""
+        remark = f"; {last} is from before" if last.is_file() else ""
         raise InputError(
-            f"{what} not finite in step {step}{kept}; the windows of this step and the one before are in {path}: "
+            f"{what} not finite in step {step}{remark}; the windows of this step and the one before are in {path}: "
             "look at them, or lower training.optimisation.learning_rate."
         )

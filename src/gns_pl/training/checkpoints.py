@@ -184,9 +184,9 @@ class BestCheckpoint(Checkpoint):
 
 def best_checkpoint(trainer: Trainer) -> Path | None:
     """Return the best checkpoint of this run, None without a validation; a file of another run does not count."""
-    callbacks = [each for each in trainer.callbacks if isinstance(each, BestCheckpoint)]  # type: ignore[attr-defined]
-    found = [each.path for each in callbacks if each.least is not None and each.path.is_file()]
-    return found[0] if found else None
+    callbacks = [callback for callback in trainer.callbacks if isinstance(callback, BestCheckpoint)]  # type: ignore[attr-defined]
+    paths = [callback.path for callback in callbacks if callback.least is not None and callback.path.is_file()]
+    return paths[0] if paths else None
 
 
 def newest_first(directory: Path) -> list[Path]:

@@ -105,6 +105,49 @@ class TrainingConfig:
         )
 
 
+@dataclass(frozen=True)
+class CorrectionConfig:
+    """Everything in conf/training/correction.yaml.
+
+    Attributes:
+        batch_size: examples per step, each a frame of a run.
+        stride: frames of the data between corrections.
+        num_train: training trajectories; None for all.
+        position_gain: share of what positions are behind that is caught up in an interval (`followed_run`).
+        refresh_fraction: share of the runs that is made anew at every validation, by the network itself in part.
+        num_steps: training steps in all.
+        learning_rate: its largest value; it rises and falls over all steps (Smith 2018).
+
+    Raises:
+        InputError: an unknown or missing key, or a value out of range.
+    """
+
+    batch_size: int
+    stride: int
+    num_train: int | None
+    position_gain: float
+    refresh_fraction: float
+    num_steps: int
+    learning_rate: float
+
+    def __post_init__(self) -> None:
+        _check("training", self, batch_size=1, stride=1, position_gain=0.0, refresh_fraction=0.0)
+        _check("training.optimisation", self, num_steps=1, learning_rate=1e-12)
+        if self.num_train is not None:
+            _check("training", self, num_train=1)
+        if self.refresh_fraction > 1:
+            raise InputError(f"training.refresh_fraction must be at most 1, not {self.refresh_fraction}.")
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> CorrectionConfig:
+        """Build the config from conf/training/correction.yaml's plain form."""
+        nested = {"num_steps", "learning_rate"}
+        known = {field.name for field in dataclasses.fields(cls)} - nested | {"optimisation"}
+        _check_keys("training", data, known)
+        _check_keys("training.optimisation", data["optimisation"], nested)
+        return cls(**{key: data[key] for key in known - {"optimisation"}}, **data["optimisation"])
+
+
 def _check_keys(owner: str, data: Mapping[str, Any], known: set[str]) -> None:
     unknown, missing = sorted(set(data) - known), sorted(known - set(data))
     if unknown or missing:

@@ -48,7 +48,7 @@ def check_devices(trainer: Trainer, batch_size: int) -> None:
 
 
 @contextmanager
-def together(trainer: Trainer) -> Iterator[None]:
+def end_together(trainer: Trainer) -> Iterator[None]:
     """Let no process of a run wait for one that has ended, and only the first one speak.
 
     Raises:

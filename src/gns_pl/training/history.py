@@ -44,14 +44,14 @@ def read_history(run: Path) -> History:
         run: folder of the run.
     """
     starts = [rows for rows in (_read_rows(path) for path in sorted(run.glob("csv/*/metrics.csv"))) if rows]
-    kept: list[dict[str, float]] = []
+    merged: list[dict[str, float]] = []
     for rows in starts:
         first = min(row["step"] for row in rows)
-        kept = [row for row in kept if row["step"] < first] + rows
-    validations = [row for row in kept if any(name.startswith(PREFIX) for name in row)]
+        merged = [row for row in merged if row["step"] < first] + rows
+    validations = [row for row in merged if any(name.startswith(PREFIX) for name in row)]
     errors = list(dict.fromkeys(name for row in validations for name in row if name.startswith(PREFIX)))
     validation = {name.removeprefix(PREFIX): _column(validations, name) for name in ("step", "hours", *errors)}
-    training = {name: _column([row for row in kept if "loss" in row], name) for name in ("step", *TRAINING)}
+    training = {name: _column([row for row in merged if "loss" in row], name) for name in ("step", *TRAINING)}
     return History(training, validation, len(starts))
 
 

@@ -77,16 +77,16 @@ def _check_started(devices: object, num_nodes: int) -> None:
     wanted = devices * num_nodes if isinstance(devices, int) and not isinstance(devices, bool) else -1
     if wanted < 1 or wanted == started:  # -1, "auto" and lists: Lightning compares
         return
-    more = f"trainer.devices={started}" if num_nodes == 1 else f"trainer.devices={max(1, started // num_nodes)}"
+    setting = f"trainer.devices={started}" if num_nodes == 1 else f"trainer.devices={max(1, started // num_nodes)}"
     if launcher == "SLURM":
         raise InputError(
             f"SLURM has {started} task{'s' if started > 1 else ''} (SLURM_NTASKS), but trainer.devices={devices} "
             f"trains in {wanted} process{'es' if wanted > 1 else ''}: ask for --ntasks={wanted} (cores of a task are "
-            f"--cpus-per-task), or set {more}."
+            f"--cpus-per-task), or set {setting}."
         )
     raise InputError(
         f"{launcher} has started {started} processes (WORLD_SIZE), but trainer.devices={devices} trains in {wanted}: "
-        f"start train.py once, without a launcher, or set {more}."
+        f"start train.py once, without a launcher, or set {setting}."
     )
 
 

@@ -6,28 +6,27 @@ import math
 from typing import Any, cast
 
 import torch
-from lightning.pytorch import LightningModule
 from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 from torch_geometric.data import Data
 
-from gns_pl.graph import Draws, Seen, Static
+from gns_pl.graph import SceneBatch, TrainingDistribution, WindowRandom
 from gns_pl.metrics.summary import rollout_errors
-from gns_pl.models.checkpoint import KEY, Checkpoint, checkpoint_entry
+from gns_pl.models.checkpoint import Checkpoint, checkpoint_entry
 from gns_pl.models.registry import build_simulator
 from gns_pl.solvers.learned import LearnedSolver
-from gns_pl.training.clock import Stopwatch
+from gns_pl.training.learning import LearningModule
 from gns_pl.training.optimiser import MuonAndAdamW
 from gns_pl.training.perturbation import Perturbation
 from gns_pl.training.symmetry import sample_symmetry
 from gns_pl.training.unroll import unrolled_loss
-from gns_pl.training.validation import MONITORED, STEP_SECONDS, ValidationTable
+from gns_pl.training.validation import STEP_SECONDS
 from gns_pl.trajectory import Trajectory
 
 
-def static_of_batch(batch: Data) -> Static:
+def static_of_batch(batch: Data) -> SceneBatch:
     """Return the time-independent tensors of a PyG batch of windows."""
-    return Static(
+    return SceneBatch(
         particle_type=batch.particle_type,
         material=batch.material,
         volume=batch.volume,
@@ -46,7 +45,7 @@ def learning_rate_factor(step: int, *, warmup_steps: int, num_steps: int, final_
     return final_factor + (1 - final_factor) * 0.5 * (1 + math.cos(math.pi * progress))
 
 
-class SimulatorModule(LightningModule):
+class SimulatorModule(LearningModule):
     """Trains a `Simulator` on windows and validates it by rollouts.
 
     Args:
@@ -79,14 +78,7 @@ class SimulatorModule(LightningModule):
         self.particles_per_window = particles_per_window
         self.seed = seed
         self.provenance = provenance
-        self.seen: Seen | None = None  # set once the statistics are; stored in the checkpoint
-
-    def training_step(self, batch: Data, batch_index: int) -> dict[str, Tensor]:
-        """Return "loss", that of this process's windows, and "joined", that of all processes' windows."""
-        loss = self.loss(batch)
-        joined = self.trainer.strategy.reduce(loss.detach().clone(), reduce_op="mean")
-        self.log("loss", joined, prog_bar=True, batch_size=batch.num_graphs)
-        return {"loss": loss, "joined": cast(Tensor, joined)}
+        self.distribution: TrainingDistribution | None = None  # set once the statistics are; stored in the checkpoint
 
     def loss(self, batch: Data) -> Tensor:
         """Return the loss of a batch of windows [].
@@ -101,17 +93,17 @@ class SimulatorModule(LightningModule):
         random batch would not be), and it is additive: the mean of the gradients of several processes with equally many
         windows each is the gradient of the joined batch, whatever the windows' sizes.
         """
-        static = static_of_batch(batch)
+        scenes = static_of_batch(batch)
         # A window's noise depends on the seed and its number alone: resumed or spread over processes, it is the same.
-        draws = Draws(self.seed, batch.number, static.batch)
+        random = WindowRandom(self.seed, batch.number, scenes.batch)
         length = self.simulator.config.input_sequence_length
         steps = self._unrolled(self.global_step)
         truth = batch.position[:, : length + steps]
         if self.optimisation["symmetry"]:
-            truth, static = sample_symmetry(truth, static, draws)
+            truth, scenes = sample_symmetry(truth, scenes, random)
         history, future = truth[:, :length], truth[:, length:]
-        history, goal = self.perturb(history, future[:, 0], static, draws)
-        moved, delta = static.moved, self.optimisation["huber_delta"]
+        history, goal = self.perturb(history, future[:, 0], scenes, random)
+        moved, delta = scenes.moved, self.optimisation["huber_delta"]
         parts = future.shape[2] * batch.num_graphs * self.particles_per_window
 
         def difference(predicted: Tensor, target: Tensor) -> Tensor:
@@ -127,7 +119,7 @@ class SimulatorModule(LightningModule):
             history,
             goal,
             future,
-            static,
+            scenes,
             restore=self.perturb.restore,
             loss=difference,
         )
@@ -137,10 +129,6 @@ class SimulatorModule(LightningModule):
         settings = self.optimisation
         late = step >= settings["unroll_from"] * settings["num_steps"]
         return int(settings["unroll_steps"]) if late else 1
-
-    def on_validation_epoch_start(self) -> None:
-        """Begin a new table of errors."""
-        self._validation = ValidationTable()
 
     def validation_step(self, reference: Trajectory | None, batch_index: int) -> dict[str, Any] | None:
         """Roll a whole validation trajectory out from its first frame, note its errors, and return it for figures."""
@@ -153,11 +141,6 @@ class SimulatorModule(LightningModule):
         seconds = cast(float, predicted.provenance["wall_seconds"]) / max(1, predicted.num_frames - 1)
         self._validation.add({**rollout_errors(predicted, reference), STEP_SECONDS: seconds})
         return {"predicted": predicted}
-
-    def on_validation_epoch_end(self) -> None:
-        """Log the means over all trajectories."""
-        for name, value in self._validation.means(self.trainer).items():
-            self.log(f"valid/{name}", value, batch_size=1, prog_bar=name == MONITORED, sync_dist=True)
 
     def configure_optimizers(self) -> Any:
         """Return the optimiser with warm-up and cosine, stepped every step."""
@@ -179,14 +162,6 @@ class SimulatorModule(LightningModule):
         )
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
 
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add what `gns_pl.models.checkpoint` reads."""
-        provenance = {**self.provenance, "steps": self.global_step}
-        clocks = [each for each in self.trainer.callbacks if isinstance(each, Stopwatch)]  # type: ignore[attr-defined]
-        if "cost" in provenance and clocks:
-            provenance["cost"] = {**provenance["cost"], "train_seconds": clocks[0].seconds}
-        checkpoint[KEY] = checkpoint_entry(self.simulator, self.data, provenance, self.seen)
-
-    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Forget the time that earlier starts took: `trainer.max_time` is that of each start."""
-        checkpoint["callbacks"].pop("Timer", None)
+    def entry(self, provenance: dict[str, Any]) -> dict[str, Any]:
+        """Return what `gns_pl.models.checkpoint` reads."""
+        return checkpoint_entry(self.simulator, self.data, provenance, self.distribution)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph import Draws, Static, coherent_noise, random_walk_noise
+from gns_pl.graph import SceneBatch, WindowRandom, coherent_noise, random_walk_noise
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,9 @@ class Perturbation:
         if not self.strain_length > 0:
             raise InputError(f"training.strain_length must be positive, but is {self.strain_length}.")
 
-    def __call__(self, history: Tensor, next_position: Tensor, static: Static, draws: Draws) -> tuple[Tensor, Tensor]:
+    def __call__(
+        self, history: Tensor, next_position: Tensor, scenes: SceneBatch, random: WindowRandom
+    ) -> tuple[Tensor, Tensor]:
         """Return the perturbed history [N, H, D] and the next position its target leads to [N, D].
 
         With the noise n of the latest position, the target leads to x_{t+1} + (1 − κ) n. Kinematic particles stay.
@@ -53,16 +55,16 @@ class Perturbation:
         Args:
             history: [N, H, D] [m].
             next_position: [N, D] [m].
-            static: the scenes.
-            draws: the windows' random numbers.
+            scenes: those that are stepped.
+            random: the windows' random numbers.
         """
         dtype = history.dtype
-        noisy = draws.uniform("noise free", dtype=dtype) >= self.noise_free
-        level = (noisy[static.batch] & static.moved).to(dtype)[:, None, None]
-        noise = random_walk_noise(history, self.noise_std * level, draws)
+        noisy = random.uniform("noise free", dtype=dtype) >= self.noise_free
+        level = (noisy[scenes.batch] & scenes.moved).to(dtype)[:, None, None]
+        noise = random_walk_noise(history, self.noise_std * level, random)
         if self.strain_std:
-            moved = coherent_noise(history[:, -1], draws, strain_std=self.strain_std, length=self.strain_length)
+            moved = coherent_noise(history[:, -1], random, strain_std=self.strain_std, length=self.strain_length)
             # Every scene at a level of its own, so that small and large errors are both seen.
-            share = draws.uniform("coherent level", dtype=dtype)[static.batch]
+            share = random.uniform("coherent level", dtype=dtype)[scenes.batch]
             noise = noise + level * (share[:, None] * moved)[:, None, :]
         return history + noise, next_position + (1 - self.restore) * noise[:, -1]

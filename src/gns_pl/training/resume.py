@@ -30,7 +30,7 @@ def find_resume(resume: str | None, output: Path) -> Path | None:
     if path.is_file():
         return path
     if resume != "auto":
-        known = [str(each) for each in sorted(path.parent.glob("*.ckpt"))]
+        known = [str(file) for file in sorted(path.parent.glob("*.ckpt"))]
         raise InputError(f"resume={resume}: there is no such checkpoint{did_you_mean(resume, known)}.")
     return None
 
@@ -68,7 +68,7 @@ def go_on(output: Path) -> str:
 
 
 @contextmanager
-def alone_in(output: Path) -> Iterator[None]:
+def exclusive(output: Path) -> Iterator[None]:
     """Claim the folder of a run for this process, and clear away what killed ones left half-written.
 
     Raises:

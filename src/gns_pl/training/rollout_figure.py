@@ -40,7 +40,7 @@ class RolloutFigure(Callback):
         dataloader_idx: int = 0,
     ) -> None:
         """Keep the rollout and its reference if it is the farthest so far."""
-        if batch is None:  # an empty slot of this process
+        if batch is None or outputs is None:  # an empty slot of this process, or a run that broke
             return
         advance = float(np.diff(np.percentile(batch.position[[0, -1], :, 0], 99, axis=1))[0])
         advance /= initial_extent(batch.scene)[0]

@@ -9,6 +9,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+from gns_pl.models.shipped import is_corrector
 from gns_pl.text import command, override
 
 FORMAT = "gns_pl training summary"
@@ -28,14 +29,15 @@ def read_summary(run: Path) -> dict[str, Any] | None:
 
 
 def objective(run: Path) -> float | None:
-    """Return the least position error of a run's validations [spacings], which sweepers such as Optuna make smaller.
+    """Return the error of a run's best validation that sweepers such as Optuna make smaller: the one it was chosen by.
 
-    It is infinite if no rollout was finite, and None for a run without a validation.
+    For simulators that is the position error [spacings]. It is infinite if no rollout was finite, and None for a run
+    without a validation.
     """
     summary = read_summary(run)
     if summary is None or summary["final"] is None:
         return None
-    error = (summary["best"] or {}).get("position_error")
+    error = (summary["best"] or {}).get(summary.get("monitor", "position_error"))
     return math.inf if error is None else float(error)
 
 
@@ -68,7 +70,8 @@ def summary_lines(summary: Mapping[str, Any]) -> list[str]:
     for label, values in (("best", summary["best"]), ("at the end", summary["final"])):
         if values is not None:
             lines.append(f"  {label:<11} step {values['step']:,}: {described(values)}")
-    lines.append(f"  to judge it {command('evaluate')} {override('ckpt', shown_path(summary['checkpoint']))}")
+    judge = "benchmark" if is_corrector(summary["checkpoint"]) else "evaluate"
+    lines.append(f"  to judge it {command(judge)} {override('ckpt', shown_path(summary['checkpoint']))}")
     return lines
 
 
@@ -91,6 +94,8 @@ def described(values: Mapping[str, float | None]) -> str:
     for name, word in (("runout_99_error", "runout"), ("mean_height_error", "mean height")):
         if name in known:
             parts.append(f"{word} {100 * known[name]:+.0f} %")
+    if "column_runout_error" in known:
+        parts.append(f"runout of columns off by {100 * known['column_runout_error']:.1f} %")
     if "speed_mean" in known:
         parts.append(f"{known['speed_mean']:.2g} m/s at the end")
     return ", ".join(parts)

@@ -109,7 +109,9 @@ def close_sweep() -> None:
         tracking: dict[str, Any] | None = None
         if logger is not None:
             settings = {key: logger.get(key) for key in ("project", "entity", "tags", "notes")}
-            tracking = {key: list(each) if OmegaConf.is_list(each) else each for key, each in settings.items() if each}
+            tracking = {
+                key: list(value) if OmegaConf.is_list(value) else value for key, value in settings.items() if value
+            }
             tracking["offline"] = bool(config.logger.offline)
         report_sweep(Path(config.hydra.sweep.dir), name=str(config.name), tracking=tracking)
     except Exception as error:  # the trainings are done, and what went wrong with the jobs is to be told after this

@@ -54,8 +54,8 @@ class Job:
 
 def read_jobs(folder: Path) -> list[Job]:
     """Return the jobs of a sweep's folder by their numbers."""
-    found = [path.parents[1] for path in folder.glob("*/.hydra/overrides.yaml")]
-    return [_read_job(path) for path in sorted(found, key=lambda path: (_leading_number(path.name), path.name))]
+    folders = [path.parents[1] for path in folder.glob("*/.hydra/overrides.yaml")]
+    return [_read_job(path) for path in sorted(folders, key=lambda path: (_leading_number(path.name), path.name))]
 
 
 def _leading_number(name: str) -> float:

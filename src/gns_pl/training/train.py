@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-import subprocess
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +16,67 @@ from omegaconf import DictConfig, OmegaConf
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError, tolerated
 from gns_pl.generation import find_dataset, resolved_data
-from gns_pl.io import StorageError, manifest_sha256
+from gns_pl.io import StorageError
 from gns_pl.machine import provide_home
 from gns_pl.models.registry import simulator_config
+from gns_pl.models.shipped import CORRECTOR_KIND
 from gns_pl.nn import in_float32
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.callbacks import StopAtSignal
-from gns_pl.training.checkpoints import LAST, best_checkpoint
-from gns_pl.training.clock import cost_of
-from gns_pl.training.close import close_run, run_files
+from gns_pl.training.checkpoints import BEST, LAST, best_checkpoint
 from gns_pl.training.config import TrainingConfig
-from gns_pl.training.devices import check_devices, is_rank_zero, together
+from gns_pl.training.devices import check_devices, end_together, is_rank_zero
+from gns_pl.training.distribution import measure_distribution
+from gns_pl.training.learning import LearningModule
 from gns_pl.training.loggers import close_loggers, log_settings
 from gns_pl.training.module import SimulatorModule
-from gns_pl.training.resume import alone_in, go_on, steps_made
-from gns_pl.training.seen import measure_seen
+from gns_pl.training.provenance import provenance
+from gns_pl.training.recipe import Recipe
+from gns_pl.training.resume import exclusive, go_on, steps_made
+from gns_pl.training.run_summary import close_run, run_files
 from gns_pl.training.summary import SUMMARY_FILE
 from gns_pl.training.trainer import build_trainer, quieten
 
-PACKAGES = ("gns_pl", "torch", "torch-geometric", "lightning", "numpy", "numba", "h5py")
+
+class SimulatorRecipe(Recipe):
+    """A learned simulator.
+
+    Args:
+        settings: the resolved config.
+
+    Raises:
+        InputError: a setting that no data could make valid.
+    """
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        self.settings = settings
+        self.training = TrainingConfig.from_dict(settings["training"])
+        check_model(settings["model"])
+        self.num_steps, self.batch_size = self.training.optimisation.num_steps, self.training.batch_size
+
+    def build(self, directory: Path, trainer: Trainer) -> tuple[SimulatorModule, TrajectoryDataModule]:
+        """Return module and data module of a dataset folder."""
+        length = self.settings["model"]["input_sequence_length"]
+        datamodule = build_data(directory, self.training, length, self.settings["seed"])
+        if trainer.limit_val_batches:
+            datamodule.check_validation()
+        return build_module(self.settings, self.training, datamodule), datamodule
+
+
+def find_recipe(settings: Mapping[str, Any]) -> Recipe:
+    """Return what is trained: `model.kind` says it.
+
+    Args:
+        settings: the resolved config.
+
+    Raises:
+        InputError: a setting that no data could make valid.
+    """
+    if settings["model"].get("kind") != CORRECTOR_KIND:
+        return SimulatorRecipe(settings)
+    from gns_pl.training.corrector_recipe import CorrectorRecipe
+
+    return CorrectorRecipe(settings)
 
 
 @in_float32
@@ -59,23 +99,22 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
     provide_home()  # before W&B and torch look for it
     os.environ.setdefault("WANDB_SILENT", "true")  # it would print a page; where its run is, is told below
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    training = TrainingConfig.from_dict(settings["training"])
-    check_model(settings["model"])
     settings["data"] = resolved_data(settings["data"])
-    steps = training.optimisation.num_steps
+    recipe = find_recipe(settings)
+    steps = recipe.num_steps
     if resume is not None and steps_made(resume, settings) >= steps:
         print(f"{resume} has made its {steps} steps already; nothing is left to train.")
+        best = output / BEST  # a kill behind the last step may have kept it from being exported
+        recipe.export(best if best.is_file() else resume, output)
         return resume
     stop = StopAtSignal()
     trainer = build_trainer(cfg, output, steps, stop)
-    check_devices(trainer, training.batch_size)
-    with together(trainer), alone_in(output) if is_rank_zero() else nullcontext():
+    check_devices(trainer, recipe.batch_size)
+    exported: list[Path] = []
+    with end_together(trainer), exclusive(output) if is_rank_zero() else nullcontext():
         seed_everything(settings["seed"], workers=True, verbose=False)
         directory = find_dataset(settings["data"], progress=is_rank_zero())
-        datamodule = build_data(directory, training, settings["model"]["input_sequence_length"], settings["seed"])
-        if trainer.limit_val_batches:
-            datamodule.check_validation()
-        module = build_module(settings, training, datamodule)
+        module, datamodule = recipe.build(directory, trainer)
         try:
             if is_rank_zero():
                 announce(settings, trainer, module, datamodule, output)
@@ -96,23 +135,32 @@ def train(cfg: DictConfig, output: Path, resume: Path | None) -> Path:
                 error.add_note(f"To go on from {output / LAST}, add {go_on(output)}")
             raise
         finally:
+            with tolerated("what the best checkpoint is used as"):
+                if is_rank_zero() and (output / LAST).is_file():
+                    exported = recipe.export(best_checkpoint(trainer) or output / LAST, output)
             with tolerated(SUMMARY_FILE):
-                close_run(output, trainer, module, datamodule)
+                close_run(output, trainer, module, datamodule, exported)
             close_loggers(trainer.loggers)
         if not is_rank_zero():
             raise SystemExit(0)  # the rest is done once
     if trainer.global_step < steps:
         print(f"Stopped after {trainer.global_step} of {steps} steps; to go on, add {go_on(output)}")
-    results = (output / LAST, best_checkpoint(trainer), *run_files(output), *sorted(output.glob("csv/*/metrics.csv")))
-    made = [*filter(None, results), *sorted(output.glob("wandb/*run-*")), *sorted(output.glob("tensorboard/*"))]
-    print("Made:", *(path for path in made if path.exists()), sep="\n  ")
+    results = (
+        *exported,
+        output / LAST,
+        best_checkpoint(trainer),
+        *run_files(output),
+        *sorted(output.glob("csv/*/metrics.csv")),
+    )
+    files = [*filter(None, results), *sorted(output.glob("wandb/*run-*")), *sorted(output.glob("tensorboard/*"))]
+    print("Made:", *(path for path in files if path.exists()), sep="\n  ")
     return output / LAST
 
 
 def announce(
     settings: Mapping[str, Any],
     trainer: Trainer,
-    module: SimulatorModule,
+    module: LearningModule,
     datamodule: TrajectoryDataModule,
     output: Path,
 ) -> None:
@@ -217,7 +265,7 @@ def build_module(
     )
     if module.simulator.config.exact_steps:
         module.provenance["frame_statistics"] = moments  # digit for digit, as an export of the weights needs them
-    module.seen = measure_seen(
+    module.distribution = measure_distribution(
         module.simulator,
         datamodule.train_set,
         symmetry=training.optimisation.symmetry,
@@ -234,25 +282,3 @@ def material_scale(datamodule: TrajectoryDataModule, number: int) -> torch.Tenso
     material = torch.cat([constant["material"][:, :number] for constant in datamodule.train_set.constant]).double()
     deviation = material.std(dim=0, correction=0)
     return torch.stack([material.mean(dim=0), torch.where(deviation > 1e-9, deviation, 1.0)]).float()
-
-
-def provenance(settings: Mapping[str, Any], directory: Path) -> dict[str, Any]:
-    """Return versions, commit, config and the hash of the dataset's manifest."""
-    try:
-        commit = subprocess.run(
-            ["git", "describe", "--always", "--dirty"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        commit = "unknown"
-    return {
-        "description": settings["description"],
-        "versions": {name: version(name) for name in PACKAGES},
-        "commit": commit,
-        "config": dict(settings),
-        "manifest_sha256": manifest_sha256(directory),
-        "cost": cost_of(directory),
-    }

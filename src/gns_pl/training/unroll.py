@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from gns_pl.graph import Static
+from gns_pl.graph import SceneBatch
 from gns_pl.models.simulator import Simulator
 
 
@@ -16,7 +16,7 @@ def unrolled_loss(
     history: Tensor,
     goal: Tensor,
     future: Tensor,
-    static: Static,
+    scenes: SceneBatch,
     *,
     restore: float,
     loss: Callable[[Tensor, Tensor], Tensor],
@@ -33,7 +33,7 @@ def unrolled_loss(
         history: perturbed positions [N, H, D] [m].
         goal: what the first step should lead to [N, D] [m].
         future: true positions of the U next frames [N, U, D] [m].
-        static: the scenes.
+        scenes: those that are stepped.
         restore: κ.
         loss: of predicted and target normalised accelerations [N, D].
 
@@ -43,12 +43,12 @@ def unrolled_loss(
     steps = future.shape[1]
     total = history.new_zeros(())
     for step in range(steps):
-        normalised = simulator.normalised_acceleration(history, static)
-        target = simulator.target(history, goal, static)
+        normalised = simulator.normalised_acceleration(history, scenes)
+        target = simulator.target(history, goal, scenes)
         total = total + loss(normalised, target)
         if step + 1 < steps:
-            position = simulator.integrate(history, normalised, static)
-            position = torch.where(static.moved[:, None], position, future[:, step])
+            position = simulator.integrate(history, normalised, scenes)
+            position = torch.where(scenes.moved[:, None], position, future[:, step])
             goal = future[:, step + 1] + (1 - restore) * (position - future[:, step])
             history = torch.cat([history[:, 1:], position[:, None]], dim=1)
     return total / steps

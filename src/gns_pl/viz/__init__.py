@@ -9,10 +9,10 @@ from importlib.util import find_spec
 from gns_pl.viz.animation import write_animation
 from gns_pl.viz.chart import Mark, plot_chart
 from gns_pl.viz.evolution import plot_evolution
-from gns_pl.viz.familiarity import plot_familiarity
 from gns_pl.viz.laws import plot_laws
 from gns_pl.viz.learning_curve import plot_learning_curve
 from gns_pl.viz.notebook import interactive
+from gns_pl.viz.ood import plot_ood
 from gns_pl.viz.paraview import write_paraview
 from gns_pl.viz.plots import plot_curves
 from gns_pl.viz.scene3d import render_film, render_still
@@ -27,9 +27,9 @@ __all__ = [
     "plot_chart",
     "plot_curves",
     "plot_evolution",
-    "plot_familiarity",
     "plot_laws",
     "plot_learning_curve",
+    "plot_ood",
     "plot_survival",
     "plot_sweep",
     "render_film",

@@ -17,7 +17,7 @@ GROUPS = {
     "learned": ("learned", "#D55E00", "s"),
     "corrected": ("corrected MPM", "#009E73", "D"),
     "retuned": ("MPM fitted to fine MPM", "#882255", "P"),
-    "handed": ("handed over", "#CC79A7", "v"),
+    "hybrid": ("handed over", "#CC79A7", "v"),
     "extrapolated": ("two MPM runs extrapolated", "#56B4E9", "x"),
     "law": ("law of the aspect ratio (microseconds)", "#E69F00", "+"),
     "trivial": ("trivial", "#777777", "^"),
@@ -87,10 +87,10 @@ def plot_chart(
         bottom = (0.62 + 0.16 * len(lines)) / figure.get_figheight()
         grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1), hspace=0.42, wspace=0.2, left=0.06, right=0.985)
         grid.update(bottom=bottom + 0.02, top=0.92)
-        main, above, below = (figure.add_subplot(each) for each in (grid[:, 0], grid[0, 1], grid[1, 1]))
-        _draw_front(main, [each for each in marks if np.isfinite(each.error)], band)
+        main, above, below = (figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1]))
+        _draw_front(main, [mark for mark in marks if np.isfinite(mark.error)], band)
         _draw_rates(above, rates)
-        _draw_costs(below, [each for each in marks if np.isfinite(each.error) and each.spent > 0])
+        _draw_costs(below, [mark for mark in marks if np.isfinite(mark.error) and mark.spent > 0])
         figure.suptitle(title, fontsize=9)
         figure.text(0.06, 0.012, "\n".join(lines), fontsize=7, va="bottom", ha="left")
         for path in paths:
@@ -103,28 +103,28 @@ def _draw_front(axes: Any, marks: Sequence[Mark], band: float) -> None:
     )
     named: list[tuple[str, tuple[float, float], str]] = []
     for group, (legend, colour, marker) in GROUPS.items():
-        own = sorted((each for each in marks if each.group == group), key=lambda each: each.seconds)
-        for number, each in enumerate(own):
-            place = max(each.seconds, SOON), max(each.error, LEAST)
-            named.append((each.label, place, colour))
-            bars = [[max(0.0, each.seconds - each.low)], [max(0.0, each.high - each.seconds)]]
-            face = {} if marker in "x+" else {"markerfacecolor": "none" if each.whole else colour}
+        own = sorted((mark for mark in marks if mark.group == group), key=lambda mark: mark.seconds)
+        for number, mark in enumerate(own):
+            place = max(mark.seconds, SOON), max(mark.error, LEAST)
+            named.append((mark.label, place, colour))
+            bars = [[max(0.0, mark.seconds - mark.low)], [max(0.0, mark.high - mark.seconds)]]
+            face = {} if marker in "x+" else {"markerfacecolor": "none" if mark.whole else colour}
             axes.errorbar(
                 *place, xerr=bars, color=colour, marker=marker, markersize=5, elinewidth=0.6, linestyle="none",
                 label=legend if number == 0 else None, **face,
             )  # fmt: skip
-    front = sorted((each for each in marks if each.on_front), key=lambda each: each.seconds)
+    front = sorted((mark for mark in marks if mark.on_front), key=lambda mark: mark.seconds)
     if front:
-        places = [(max(each.seconds, SOON), max(each.error, LEAST)) for each in front]
+        places = [(max(mark.seconds, SOON), max(mark.error, LEAST)) for mark in front]
         axes.step(
             *zip(*places, strict=True), where="post", color="black", linewidth=0.8, label="Pareto front", zorder=0
         )
     axes.set(xscale="log", yscale="log", xlabel="wall time of a scene [s]")
     axes.set_ylabel("error of the final 99 % runout, root mean square over scenes and placements")
     _percent_axis(axes)
-    axes.set_ylim(bottom=0.8 * max(LEAST, min([band, *(each.error for each in marks)])))
+    axes.set_ylim(bottom=0.8 * max(LEAST, min([band, *(mark.error for mark in marks)])))
     axes.grid(alpha=0.25, linewidth=0.4)
-    axes.set_xlim(right=3 * max(each.seconds for each in marks))
+    axes.set_xlim(right=3 * max(mark.seconds for mark in marks))
     axes.legend(loc="center left", bbox_to_anchor=(0.04, 0.4), fontsize=6)
     _write_names(axes, named)
 
@@ -144,7 +144,7 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
         axes.set_xlim(right=every[-1] * 4)
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("")
-        _write_names(axes, sorted(named, key=lambda each: each[1][1]), right=True)
+        _write_names(axes, sorted(named, key=lambda mark: mark[1][1]), right=True)
     else:
         axes.set_title("throughput was not measured")
     axes.grid(alpha=0.25, linewidth=0.4)
@@ -152,15 +152,15 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
 
 def _draw_costs(axes: Any, marks: Sequence[Mark]) -> None:
     named: list[tuple[str, tuple[float, float], str]] = []
-    for each in marks:
-        _, colour, marker = GROUPS[each.group]
-        place = each.spent, max(each.error, LEAST)
+    for mark in marks:
+        _, colour, marker = GROUPS[mark.group]
+        place = mark.spent, max(mark.error, LEAST)
         axes.plot(*place, color=colour, marker=marker, markersize=4, linestyle="none")
-        named.append((f"{each.name}: {each.pays}", place, colour))
+        named.append((f"{mark.name}: {mark.pays}", place, colour))
     axes.set(yscale="log", xlabel="spent on data and training [s] (: scenes until it has paid)", ylabel="error")
     if marks:
         axes.set_xscale("log")
-        axes.set_xlim(right=60 * max(each.spent for each in marks))
+        axes.set_xlim(right=60 * max(mark.spent for mark in marks))
         _percent_axis(axes)
         _write_names(axes, named)
     else:
@@ -170,8 +170,8 @@ def _draw_costs(axes: Any, marks: Sequence[Mark]) -> None:
 
 def _percent_axis(axes: Any) -> None:
     low, high = axes.get_ylim()
-    ticks = [each for each in (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0) if low <= each <= high]
-    axes.set_yticks(ticks, [f"{100 * each:g} %" for each in ticks])
+    ticks = [tick for tick in (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0) if low <= tick <= high]
+    axes.set_yticks(ticks, [f"{100 * tick:g} %" for tick in ticks])
     axes.minorticks_off()
     axes.set_ylim(low, high)
 
@@ -194,7 +194,7 @@ def _write_names(axes: Any, named: Sequence[tuple[str, tuple[float, float], str]
         for lift in lifts:
             for left in (4.0 + lift / 4,) if right else (4.0, -4.0 - width):
                 boxes.append((x + left, y + lift - height / 2, x + left + width, y + lift + height / 2))
-        box = min(boxes, key=lambda each: sum(_overlap(each, other) for other in taken))
+        box = min(boxes, key=lambda candidate: sum(_overlap(candidate, other) for other in taken))
         taken.append(box)
         offset = box[0] - x, (box[1] + box[3]) / 2 - y
         axes.annotate(

@@ -102,11 +102,11 @@ def snapshot_times(times: Sequence[float], end: float) -> list[float]:
         times: wanted [s].
         end: of the run [s].
     """
-    kept: list[float] = []
+    moments: list[float] = []
     for time in sorted(times):
-        if 0 <= time < end and time <= (1 - LEAST_GAP) * end and (not kept or time - kept[-1] >= LEAST_GAP * end):
-            kept.append(time)
-    return [*kept, end]
+        if 0 <= time < end and time <= (1 - LEAST_GAP) * end and (not moments or time - moments[-1] >= LEAST_GAP * end):
+            moments.append(time)
+    return [*moments, end]
 
 
 def _draw_snapshot(

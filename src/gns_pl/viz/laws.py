@@ -36,10 +36,10 @@ def plot_laws(
                 ratios, [law(ratio) for ratio in ratios], color="0.6", linestyle=style, linewidth=0.9, label=source
             )
         for (name, points), colour, marker in zip(runouts.items(), COLOURS, "osD^", strict=False):
-            kept = [point for point in points if np.isfinite(point[1]) and point[1] > 0]
-            if not kept:
+            positive = [point for point in points if np.isfinite(point[1]) and point[1] > 0]
+            if not positive:
                 continue
-            ratio, runout, spread = (np.array(values) for values in zip(*kept, strict=True))
+            ratio, runout, spread = (np.array(values) for values in zip(*positive, strict=True))
             axes.errorbar(
                 ratio, runout, yerr=np.minimum(spread, 0.99 * runout) if spread.any() else None,
                 color=colour, marker=marker, markersize=4,

@@ -12,8 +12,7 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.trajectory import Trajectory
-from gns_pl.viz.raster import colour_map
-from gns_pl.viz.stage import (
+from gns_pl.viz.camera import (
     COLOURINGS,
     KINEMATIC_GREY,
     TOWARDS_EYE,
@@ -27,6 +26,7 @@ from gns_pl.viz.stage import (
     values_of,
     window_of,
 )
+from gns_pl.viz.raster import colour_map
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

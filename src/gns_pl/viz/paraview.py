@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.io.atomic import remove_temporary_files, write_atomically
 from gns_pl.trajectory import Trajectory
-from gns_pl.viz.stage import in_space
+from gns_pl.viz.camera import in_space
 
 Array = NDArray[np.float32] | NDArray[np.float64] | NDArray[np.int32]
 

@@ -92,15 +92,15 @@ def obstacle_outlines(
 
 def _behind(corners: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the part of a convex polygon [M, 2] whose corners' heights over a line [M] are not positive."""
-    kept = []
+    polygon = []
     for number, corner in enumerate(corners):
         before = number - 1
         if (height[before] < 0) != (height[number] < 0):
             share = height[before] / (height[before] - height[number])
-            kept.append(corners[before] + share * (corner - corners[before]))
+            polygon.append(corners[before] + share * (corner - corners[before]))
         if height[number] < 0:
-            kept.append(corner)
-    return np.array(kept).reshape(-1, 2)
+            polygon.append(corner)
+    return np.array(polygon).reshape(-1, 2)
 
 
 def draw_grains(

@@ -13,10 +13,10 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.io.atomic import atomic_path
 from gns_pl.trajectory import Trajectory
+from gns_pl.viz.camera import evenly
+from gns_pl.viz.figure3d import INCHES, Figure3D
 from gns_pl.viz.notebook import interactive
-from gns_pl.viz.sheet import INCHES, Sheet
-from gns_pl.viz.stage import evenly
-from gns_pl.viz.studio import Pixels, require
+from gns_pl.viz.vtk_renderer import Pixels, require
 
 __all__ = ["interactive", "render_film", "render_still"]
 
@@ -68,11 +68,13 @@ def render_still(
         raise InputError(f"picture: frame must lie in 0 … {last}, not {frame}.")
     number = round(time / trajectory.dt) if time is not None else last if frame is None else frame
     number = min(max(number, 0), last)
-    with Sheet({title: trajectory, **(side_by_side or {})}, colour, width, limit, FINE) as sheet:
+    with Figure3D({title: trajectory, **(side_by_side or {})}, colour, width, limit, FINE) as figure:
         from PIL import Image
 
         with atomic_path(path) as temporary:
-            Image.fromarray(sheet.draw(number * trajectory.dt)).save(temporary, format="PNG", dpi=(width / INCHES,) * 2)
+            Image.fromarray(figure.draw(number * trajectory.dt)).save(
+                temporary, format="PNG", dpi=(width / INCHES,) * 2
+            )
     return Path(path)
 
 
@@ -109,15 +111,15 @@ def render_film(
     if num_frames < 1:
         raise InputError(f"film: num_frames must be at least 1, not {num_frames}.")
     require("PIL" if path.suffix == ".gif" else "imageio_ffmpeg")
-    with Sheet(trajectories, colour, width, limit, QUICK) as sheet, atomic_path(path) as temporary:
+    with Figure3D(trajectories, colour, width, limit, QUICK) as figure, atomic_path(path) as temporary:
         reference = list(trajectories.values())[-1]
         moments = [frame * reference.dt for frame in evenly(reference.num_frames, num_frames)]
-        pictures = (sheet.draw(moment) for moment in moments)
+        pictures = (figure.draw(moment) for moment in moments)
         beat = PLAY_SECONDS / len(moments)
         if path.suffix == ".gif":
             _write_gif(temporary, pictures, beat)
         else:
-            _write_mp4(temporary, pictures, beat, sheet.shape)
+            _write_mp4(temporary, pictures, beat, figure.shape)
     return path
 
 

@@ -24,17 +24,17 @@ def plot_survival(curves: Mapping[str, Mapping[str, Steps]], paths: Sequence[Pat
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    names = list(dict.fromkeys(axis for each in curves.values() for axis in each))
+    names = list(dict.fromkeys(axis for of_axes in curves.values() for axis in of_axes))
     columns = min(4, len(names))
     rows = math.ceil(len(names) / columns)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(2.0 * columns, 1.45 * rows + 0.5), layout="constrained")
         panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
         for panel, axis in zip(panels.flat, names, strict=False):
-            for place, (model, each) in enumerate(curves.items()):
-                if axis not in each:
+            for place, (model, of_axes) in enumerate(curves.items()):
+                if axis not in of_axes:
                     continue
-                times, shares = each[axis]
+                times, shares = of_axes[axis]
                 style = ("-", "--", "-.", ":")[place // len(COLOURS) % 4]
                 lift = 0.012 * place  # so that curves of one share are all seen
                 panel.step(

@@ -74,18 +74,18 @@ def _draw_line(
     axes: Any, points: Sequence[SweepPoint], panel: str, names: Sequence[Any] | None, index: int, label: str
 ) -> None:
     """Draw the mean over equal places, every job as a faint point, and a bar from the least to the greatest."""
-    found: dict[float, list[float]] = defaultdict(list)
+    values_at: dict[float, list[float]] = defaultdict(list)
     for point in points:
         value = point.values.get(panel, np.nan)
         if np.isfinite(value):
-            found[float(point.x if names is None else names.index(point.x))].append(value)
-    places = sorted(found)
-    mean = np.array([np.mean(found[place]) for place in places])
-    below = mean - [min(found[place]) for place in places]
-    above = [max(found[place]) for place in places] - mean
+            values_at[float(point.x if names is None else names.index(point.x))].append(value)
+    places = sorted(values_at)
+    mean = np.array([np.mean(values_at[place]) for place in places])
+    below = mean - [min(values_at[place]) for place in places]
+    above = [max(values_at[place]) for place in places] - mean
     colour = LINE_COLOURS[index % len(LINE_COLOURS)]
     marker = MARKERS[index // len(LINE_COLOURS) % len(MARKERS)]
-    repeated = any(len(values) > 1 for values in found.values())
+    repeated = any(len(values) > 1 for values in values_at.values())
     axes.errorbar(
         places,
         mean,
@@ -99,7 +99,7 @@ def _draw_line(
     )
     if repeated:
         for place in places:
-            axes.plot([place] * len(found[place]), found[place], marker, color=colour, markersize=3, alpha=0.4)
+            axes.plot([place] * len(values_at[place]), values_at[place], marker, color=colour, markersize=3, alpha=0.4)
 
 
 def _dress_axis(axes: Any, names: Sequence[Any], numeric: bool) -> None:

@@ -32,7 +32,7 @@ def test_mpm_above_its_limit_is_found_and_within_it_is_not(tmp_path: Path, capsy
     assert found["mpm"] == {"scenes": 10, "failed": 0, "failed_inside": 0}
     assert found["fast"]["failed"] == 10
     rows = read_rows(tmp_path / "out" / "stress.csv")
-    assert all(row.failed_at <= row.duration and row.sentence for row in rows if row.kind)
+    assert all(row.failed_at <= row.duration and row.message for row in rows if row.kind)
     text = (tmp_path / "out" / "stress.md").read_text()
     assert "| `mpm` | 0 of 10 |" in text and "| `fast` | 10 of 10 |" in text
     assert "Made:" in capsys.readouterr().out
@@ -56,14 +56,14 @@ def test_a_simulator_that_makes_energy_fails_and_less_so_when_it_is_kept_from_it
     save_checkpoint(path, Checkpoint(simulator, data, {"steps": 0}))
     wild = stress(tmp_path, {"wild": path}, axes=["speed"])["wild"]
     assert wild["failed"] >= 8
-    stable = {"stabilise": {"passive": True, "least_distance": 0.2}, "label": " stable"}
+    stable = {"stabilise": {"energy_limiter": True, "min_distance": 0.2}, "label": " stable"}
     calm = stress(tmp_path, {"wild": path}, axes=["speed"], **stable)["wild stable"]
     assert calm["failed"] < wild["failed"]
     rows = read_rows(tmp_path / "out" / "stress.csv")
     assert {row.model for row in rows} == {"wild", "wild stable"}  # both are kept
-    stress(tmp_path, {"wild": path}, axes=["speed"], stabilise={"passive": True})
+    stress(tmp_path, {"wild": path}, axes=["speed"], stabilise={"energy_limiter": True})
     again = [row for row in read_rows(tmp_path / "out" / "stress.csv") if row.model == "wild"]
-    assert len(again) == 10 and all("passive" in row.settings for row in again)  # in the place of what was
+    assert len(again) == 10 and all("energy_limiter" in row.settings for row in again)  # in the place of what was
 
 
 @pytest.mark.parametrize(
@@ -81,6 +81,6 @@ def test_settings_that_cannot_be_used_are_refused(tmp_path: Path, changes, words
 
 
 @pytest.mark.parametrize(("solver", "words"), [("learned", "which checkpoint"), ("dem", "learned, mpm")])
-def test_the_door_asks_for_what_is_missing(solver: str, words: str) -> None:
+def test_the_command_asks_for_what_is_missing(solver: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         stress_from_settings({"solver": solver, "ckpt": None, "evaluation": {"stress": {}}})

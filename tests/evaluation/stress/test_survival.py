@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ def row(duration: float, failed_at: float = math.nan, **changes) -> Row:
         "model": "m", "identity": "1", "settings": "none", "scene": f"s{duration}{failed_at}", "axis": "tilt",
         "value": "5", "inside": True,
         "particles": 10, "steps": 5, "duration": duration, "kind": "" if math.isnan(failed_at) else "speed",
-        "failed_at": failed_at, "sentence": "" if math.isnan(failed_at) else "a particle, fast", "left_at": math.nan,
+        "failed_at": failed_at, "message": "" if math.isnan(failed_at) else "a particle, fast", "exit_time": math.nan,
         "energy_rise": 0.0, "crowded": 0.0, "momentum": 0.0, "drift": math.nan, "drift_largest": math.nan,
         "seconds": 1.0,
     }  # fmt: skip
@@ -45,7 +46,7 @@ def test_what_ended_before_is_not_taken_to_have_lived_on() -> None:
 def test_a_failure_is_announced_by_the_scene_or_by_what_was_left_before() -> None:
     assert not row(8.0, 2.0).announced
     assert row(8.0, 2.0, inside=False).announced
-    assert row(8.0, 2.0, left_at=1.0).announced and not row(8.0, 2.0, left_at=3.0).announced
+    assert row(8.0, 2.0, exit_time=1.0).announced and not row(8.0, 2.0, exit_time=3.0).announced
     assert not row(8.0, inside=False).announced  # there is nothing to announce
 
 
@@ -67,3 +68,13 @@ def test_the_report_names_what_failed_within_the_data() -> None:
     assert "- `m`, s8.02.0 (5), within its data: a particle, fast." in text
     assert "`n`, s" not in text
     assert "| tilt | 2 | 1 (from 2.0 τc) | 1 (from 1.0 τc) |" in text
+
+
+def test_a_table_with_the_older_names_of_its_columns_is_read(tmp_path: Path) -> None:
+    rows = [row(8.0, 2.0, exit_time=1.0), row(6.0)]
+    write_rows(tmp_path / "new.csv", rows)
+    head, lines = (tmp_path / "new.csv").read_text().split("\n", 1)
+    assert ",message,exit_time," in head
+    (tmp_path / "old.csv").write_text(head.replace(",message,exit_time,", ",sentence,left_at,") + "\n" + lines)
+    old, new = read_rows(tmp_path / "old.csv"), read_rows(tmp_path / "new.csv")
+    assert repr(old) == repr(new) == repr(rows)  # as text, for NaN

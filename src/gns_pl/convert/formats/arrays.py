@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.convert.formats.format import Format, Source
 from gns_pl.convert.formats.metadata import read_stated
 from gns_pl.convert.formats.npy import map_numbers, members, open_member, read_numbers
 from gns_pl.convert.formats.source import (
@@ -97,3 +98,11 @@ def _recording(arrays: dict[str, NDArray[Any]]) -> Recording:
         dtype=str(position.dtype),
         notes=() if types is not None else ("no particle types are stored; all particles are taken for sand, type 6",),
     )
+
+
+def _open_source(source: Source) -> ForeignSet | None:
+    files = sorted([*source.files.get(".npz", []), *source.files.get(".npy", [])])
+    return open_arrays(source.path, files) if files else None
+
+
+FORMAT = Format("plain arrays (.npy, .npz)", (".npy", ".npz"), _open_source)

@@ -19,14 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gns_pl.convert.formats.cb_geo_runs import Run, read_run
+from gns_pl.convert.formats.cb_geo_runs import Run, find_runs, read_run
 from gns_pl.convert.formats.cb_geo_table import count_rows, has_vector, read_ids, read_table, vector
 from gns_pl.convert.formats.deck import Deck
 from gns_pl.convert.formats.deck_search import decks_of
+from gns_pl.convert.formats.format import Format, Source
 from gns_pl.convert.formats.source import ForeignSet, Recording, Stated, reading, without_material
 from gns_pl.convert.formats.stated import stated_of_all
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
+from gns_pl.io import MANIFEST_NAME
 
 LOST = ("refuse", "drop")
 CONTRADICTION = 0.1
@@ -76,7 +78,7 @@ def open_cb_geo(path: Path, folders: list[Path], *, deck: Path | None, lost: str
     def opener(number: int) -> AbstractContextManager[Recording]:
         return _open(runs[number], decks[number], each[number], lambda: presence(number), lost)
 
-    return ForeignSet("CB-Geo MPM", path, names, opener, replace(stated, notes=(*notes, *stated.notes)))
+    return ForeignSet("CB-Geo MPM", path, names, opener, replace(stated, notes=(*notes, *stated.notes)), si=True)
 
 
 def _stated(run: Run, deck: Deck) -> Stated:
@@ -219,3 +221,13 @@ def _frame(files: tuple[Path, ...], ids: NDArray[np.int64], dim: int) -> NDArray
     if dim == 2 and (rows["coord_z"] != 0).any():
         raise InputError(f"{files[0].name} has particles outside the plane z = 0 of a run in two dimensions.")
     return vector(rows[place], "coord", dim)
+
+
+def _open_source(source: Source) -> ForeignSet | None:
+    if (source.path / MANIFEST_NAME).is_file():  # a data set of ours, whatever lies below it
+        return None
+    folders = find_runs(source.path)
+    return open_cb_geo(source.path, folders, deck=source.deck, lost=source.lost) if folders else None
+
+
+FORMAT = Format("CB-Geo MPM (particles….h5)", (".h5",), _open_source, takes_deck=True)

@@ -35,11 +35,11 @@ def decks_of(runs: Sequence[Run], root: Path, deck: Path | None) -> tuple[list[D
         return [read_deck(deck)] * len(runs), notes
     candidates = functools.cache(_decks_in)
     read = functools.cache(read_deck)
-    found = [_nearest(run, root, candidates, read) for run in runs]
-    _check_lacking(runs, found, root)
+    paths = [_nearest(run, root, candidates, read) for run in runs]
+    _check_lacking(runs, paths, root)
     notes = []
     users: dict[Path, list[str]] = defaultdict(list)
-    for run, path in zip(runs, found, strict=True):
+    for run, path in zip(runs, paths, strict=True):
         if path is not None:
             users[path].append(run.name)
     for path, names in users.items():
@@ -49,7 +49,7 @@ def decks_of(runs: Sequence[Run], root: Path, deck: Path | None) -> tuple[list[D
             notes.append(f"the deck is {path}, over the source")
     if not users:
         notes.append("no JSON deck was found, so time step, box, gravity and material are open; name it: deck=…")
-    return [Deck() if path is None else read(path) for path in found], notes
+    return [Deck() if path is None else read(path) for path in paths], notes
 
 
 def _nearest(
@@ -59,24 +59,24 @@ def _nearest(
     for distance, place in enumerate([folder, *folder.parents]):
         if distance > ABOVE and not place.is_relative_to(top):
             break
-        found = candidates(place)
-        named = [path for path in found if _uuid(path) == folder.name]  # CB-Geo calls the folder of a run so
-        found = tuple(named) or found
-        if len(found) > 1 and any(read(path) != read(found[0]) for path in found):
+        decks = candidates(place)
+        named = [path for path in decks if _uuid(path) == folder.name]  # CB-Geo calls the folder of a run so
+        decks = tuple(named) or decks
+        if len(decks) > 1 and any(read(path) != read(decks[0]) for path in decks):
             raise InputError(
-                f"{run.folder}: {place} has {len(found)} different decks for it; say which one: "
-                f"{override('deck', found[0])}"
+                f"{run.folder}: {place} has {len(decks)} different decks for it; say which one: "
+                f"{override('deck', decks[0])}"
             )
-        if found:
-            return found[0]
+        if decks:
+            return decks[0]
     return None
 
 
-def _check_lacking(runs: Sequence[Run], found: Sequence[Path | None], root: Path) -> None:
+def _check_lacking(runs: Sequence[Run], paths: Sequence[Path | None], root: Path) -> None:
     """Refuse runs that would get a deck from further up, or none, while others have one of their own below it."""
-    own = {path.parent: run.name for run, path in zip(runs, found, strict=True) if path is not None}
+    own = {path.parent: run.name for run, path in zip(runs, paths, strict=True) if path is not None}
     over = {place: name for folder, name in own.items() for place in folder.parents}
-    for run, path in zip(runs, found, strict=True):
+    for run, path in zip(runs, paths, strict=True):
         place = _whole(root) if path is None else path.parent
         if place in over and _whole(run.folder) != place:
             raise InputError(

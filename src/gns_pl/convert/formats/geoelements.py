@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.convert.formats.format import Format, Source
 from gns_pl.convert.formats.groups import group_names, open_group
 from gns_pl.convert.formats.limits import check_claim, check_memory
 from gns_pl.convert.formats.metadata import read_stated
@@ -171,3 +172,31 @@ def npz_writer(path: Path) -> Iterator[Callable[[str, Mapping[str, NDArray[Any]]
                 write_pickle(cast(BinaryIO, member), row)
 
         yield add
+
+
+def _open_source(source: Source) -> ForeignSet | None:
+    files, archives = source.files.get(".h5", []), source.files.get(".npz", [])
+    if files:
+        with reading(files[0]):
+            if group_names(files[0], "positions"):
+                return open_geoelements(source.path, files, trust=False)
+            raise InputError("is HDF5, but has no groups with position (LagrangeBench) or positions (geoelements/gns).")
+    if archives and _holds_sets(archives[0]):
+        return open_geoelements(source.path, archives, trust=source.trust)
+    return None
+
+
+def _holds_sets(archive: Path) -> bool:
+    """Return whether an .npz holds pickled trajectories, or one array of all."""
+    with reading(archive):
+        found = members(archive)
+        if WHOLE in found:
+            return True
+        with zipfile.ZipFile(archive) as opened:
+            for member in found.values():
+                with open_member(opened, member) as (_, header, _):
+                    return bool(header.dtype.hasobject)
+    return False
+
+
+FORMAT = Format("geoelements/gns (.npz, .h5)", (".npz", ".h5"), _open_source)

@@ -143,15 +143,17 @@ def ours(weights: Mapping[str, Tensor], shape: Shape, *, doubling: bool, axes: t
     missing, left = sorted(set(table) - set(weights)), sorted(set(weights) - set(table))
     if missing or left:
         raise InputError(f"lacks {missing[0]}." if missing else f"has {left[0]}, which their networks do not have.")
-    made = {table[name]: value.float().clone() for name, value in weights.items()}
+    parameters = {table[name]: value.float().clone() for name, value in weights.items()}
     width = shape.latent_size
     for layer, place in _edge_layers(shape):
-        whole = made[f"{place}.edge_mlp.0.weight"]
+        whole = parameters[f"{place}.edge_mlp.0.weight"]
         if whole.shape != (width, 3 * width):
             raise InputError(f"layer {layer} has a first matrix of {tuple(whole.shape)}, not {(width, 3 * width)}.")
-        made[f"{place}.receiver.weight"], made[f"{place}.sender.weight"], edge = torch.split(whole, width, dim=1)
-        made[f"{place}.edge_mlp.0.weight"] = edge * (2.0**layer if doubling else 1.0)
-    return turned(made, shape, axes)
+        parameters[f"{place}.receiver.weight"], parameters[f"{place}.sender.weight"], edge = torch.split(
+            whole, width, dim=1
+        )
+        parameters[f"{place}.edge_mlp.0.weight"] = edge * (2.0**layer if doubling else 1.0)
+    return turned(parameters, shape, axes)
 
 
 def theirs(parameters: Mapping[str, Tensor], shape: Shape, *, doubling: bool) -> dict[str, Tensor]:
@@ -162,12 +164,12 @@ def theirs(parameters: Mapping[str, Tensor], shape: Shape, *, doubling: bool) ->
         shape: of them.
         doubling: as of `ours`.
     """
-    made = dict(parameters)
+    theirs = dict(parameters)
     for layer, place in _edge_layers(shape):
-        edge = made[f"{place}.edge_mlp.0.weight"] / (2.0**layer if doubling else 1.0)
-        parts = [made.pop(f"{place}.receiver.weight"), made.pop(f"{place}.sender.weight"), edge]
-        made[f"{place}.edge_mlp.0.weight"] = torch.cat(parts, dim=1)
-    return {name: made[other].clone() for name, other in names(shape)}
+        edge = theirs[f"{place}.edge_mlp.0.weight"] / (2.0**layer if doubling else 1.0)
+        parts = [theirs.pop(f"{place}.receiver.weight"), theirs.pop(f"{place}.sender.weight"), edge]
+        theirs[f"{place}.edge_mlp.0.weight"] = torch.cat(parts, dim=1)
+    return {name: theirs[other].clone() for name, other in names(shape)}
 
 
 def turned(parameters: Mapping[str, Tensor], shape: Shape, axes: tuple[int, ...]) -> dict[str, Tensor]:
@@ -178,15 +180,15 @@ def turned(parameters: Mapping[str, Tensor], shape: Shape, axes: tuple[int, ...]
         shape: of them.
         axes: of the old, in the order of the new.
     """
-    dim, made = shape.dim, dict(parameters)
+    dim, permuted = shape.dim, dict(parameters)
     order = torch.tensor(axes)
     vectors = shape.num_velocities + 2  # and distances to the lower and the upper walls
     columns = torch.cat([dim * block + order for block in range(vectors)])
     for name, places in (("node_encoder", columns), ("edge_encoder", order)):
-        weight = made[f"network.{name}.0.weight"].clone()
+        weight = permuted[f"network.{name}.0.weight"].clone()
         weight[:, : len(places)] = weight[:, places]
-        made[f"network.{name}.0.weight"] = weight
+        permuted[f"network.{name}.0.weight"] = weight
     last = 2 * shape.num_mlp_layers
     for kind in ("weight", "bias"):
-        made[f"network.decoder.{last}.{kind}"] = made[f"network.decoder.{last}.{kind}"][order]
-    return made
+        permuted[f"network.decoder.{last}.{kind}"] = permuted[f"network.decoder.{last}.{kind}"][order]
+    return permuted

@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.convert.formats.format import Format, Source
 from gns_pl.convert.formats.groups import group_names, open_group
 from gns_pl.convert.formats.metadata import read_stated
 from gns_pl.convert.formats.source import ForeignSet, Recording, reading
@@ -93,3 +94,14 @@ def groups_writer(path: Path) -> Iterator[Callable[[int, int, NDArray[np.int64],
                 start += len(block)
 
         yield add
+
+
+def _open_source(source: Source) -> ForeignSet | None:
+    files = source.files.get(".h5", [])
+    if not files:
+        return None
+    with reading(files[0]):
+        return open_lagrangebench(source.path, files) if group_names(files[0], POSITION) else None
+
+
+FORMAT = Format("LagrangeBench (.h5)", (".h5",), _open_source)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gns_pl.convert.formats.format import Format
 from gns_pl.convert.formats.metadata import read_stated
 from gns_pl.convert.formats.source import ForeignSet, Recording, checked_types, reading, without_material
 from gns_pl.convert.formats.tfrecord import read_record, record_places, sequence_example
@@ -78,3 +79,12 @@ def _open(file: Path, place: tuple[int, int], dim: int | None) -> Iterator[Recor
         material=without_material(number),
         notes=notes if "step_context" in lists else (),
     )
+
+
+FORMAT = Format(
+    "DeepMind (.tfrecord)",
+    (".tfrecord",),
+    lambda source: (
+        open_learning_to_simulate(source.path, source.files[".tfrecord"]) if ".tfrecord" in source.files else None
+    ),
+)

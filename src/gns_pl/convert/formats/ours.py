@@ -9,9 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from gns_pl.convert.formats.source import ForeignSet, Recording, Stated
+from gns_pl.convert.formats.format import Format, Source
+from gns_pl.convert.formats.groups import open_hdf5
+from gns_pl.convert.formats.source import ForeignSet, Recording, Stated, reading
 from gns_pl.errors import InputError
-from gns_pl.io import TrajectoryHeader, open_trajectory, read_header, read_manifest, read_static, read_window
+from gns_pl.io import (
+    MANIFEST_NAME,
+    TrajectoryHeader,
+    open_trajectory,
+    read_header,
+    read_manifest,
+    read_static,
+    read_window,
+)
+from gns_pl.io.schema import FORMAT_NAME
 
 KIND = "gns_pl"
 
@@ -41,7 +52,7 @@ def open_ours(path: Path) -> ForeignSet:
     def opener(number: int) -> AbstractContextManager[Recording]:
         return _open(folder / names[number][1])
 
-    return ForeignSet(KIND, path, tuple(names), opener, stated)
+    return ForeignSet(KIND, path, tuple(names), opener, stated, si=True)
 
 
 def _stated(header: TrajectoryHeader) -> Stated:
@@ -84,3 +95,25 @@ def _open(path: Path) -> Iterator[Recording]:
             scene=header.scene,
             provenance=header.provenance,
         )
+
+
+def _open_source(source: Source) -> ForeignSet | None:
+    path = source.path
+    if path.is_dir() and (path / MANIFEST_NAME).is_file():
+        return open_ours(path)
+    first = next(iter(source.files.get(".h5", ())), None)
+    if first is None:
+        return None
+    with reading(first):
+        with open_hdf5(first) as file:
+            if file.attrs.get("format") != FORMAT_NAME:
+                return None
+        if path.is_file():
+            return open_ours(path)
+        stored = sorted(each.parent for each in path.glob(f"*/{MANIFEST_NAME}"))
+        if stored:
+            raise InputError(f"is of a data set of gns_pl, of which {path} has {len(stored)}; name one: {stored[0]}")
+        raise InputError(f"is a trajectory of gns_pl, but {path} has no {MANIFEST_NAME}; name the files one by one.")
+
+
+FORMAT = Format("gns_pl's own (.h5)", (".h5",), _open_source)

@@ -145,6 +145,7 @@ class ForeignSet:
         open: number of a recording → the recording, for as long as the block lasts.
         stated: what the source says of itself.
         of_split: split → what it says of that split alone, where splits differ.
+        si: its units are metres, seconds and kilograms by definition.
     """
 
     kind: str
@@ -153,6 +154,7 @@ class ForeignSet:
     open: Callable[[int], AbstractContextManager[Recording]]
     stated: Stated
     of_split: Mapping[str, Stated] = field(default_factory=dict)
+    si: bool = False
 
     def __post_init__(self) -> None:
         if not self.names:

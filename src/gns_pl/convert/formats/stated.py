@@ -18,18 +18,18 @@ SAME_SPACING = 0.05
 MOST_NOTES = 8
 
 
-def stated_of_all(path: Path, names: Sequence[str], each: Sequence[Stated]) -> Stated:
+def stated_of_all(path: Path, names: Sequence[str], recordings: Sequence[Stated]) -> Stated:
     """Return what holds for all trajectories of a set: the box around their boxes, and what they have in common.
 
     Args:
         path: of the set, for messages.
         names: of the trajectories.
-        each: what is stated of each.
+        recordings: what is stated of each.
 
     Raises:
         InputError: different times between frames, or gravity along different axes, which no set can have.
     """
-    known = [(name, one.dt) for name, one in zip(names, each, strict=True) if one.dt is not None]
+    known = [(name, one.dt) for name, one in zip(names, recordings, strict=True) if one.dt is not None]
     if known:
         low, high = min(known, key=lambda pair: pair[1]), max(known, key=lambda pair: pair[1])
         if high[1] > low[1] * (1 + SAME_TIME):
@@ -37,11 +37,11 @@ def stated_of_all(path: Path, names: Sequence[str], each: Sequence[Stated]) -> S
                 f"{path}: its trajectories have different times between frames, {low[0]} {low[1]:g} s and {high[0]} "
                 f"{high[1]:g} s; convert them one by one."
             )
-    axes = {int(np.abs(one.gravity).argmax()) for one in each if one.gravity is not None and any(one.gravity)}
+    axes = {int(np.abs(one.gravity).argmax()) for one in recordings if one.gravity is not None and any(one.gravity)}
     if len(axes) > 1:
         raise InputError(f"{path}: gravity is along different axes in its trajectories; convert them one by one.")
-    spacing, questions = _spacing([one.spacing for one in each if one.spacing is not None])
-    notes = list(dict.fromkeys(note for one in each for note in one.notes))
+    spacing, questions = _spacing([one.spacing for one in recordings if one.spacing is not None])
+    notes = list(dict.fromkeys(note for one in recordings for note in one.notes))
     if len(notes) > MOST_NOTES:
         notes = [*notes[:MOST_NOTES], f"and {len(notes) - MOST_NOTES} notes more of this kind"]
     differing = [
@@ -52,21 +52,21 @@ def stated_of_all(path: Path, names: Sequence[str], each: Sequence[Stated]) -> S
             ("density", lambda one: one.density),
             ("angle of friction", lambda one: one.friction_angle_deg),
         )
-        if len({value(one) for one in each}) > 1
+        if len({value(one) for one in recordings}) > 1
     ]
     if differing:
         notes.append(f"trajectories differ in {', '.join(differing)}; each keeps its own")
-    boxes = [(one.lower, one.upper) for one in each]
+    boxes = [(one.lower, one.upper) for one in recordings]
     whole = all(lower is not None and upper is not None for lower, upper in boxes)
     return replace(
-        each[0],
+        recordings[0],
         dt=known[0][1] if known else None,
-        lower=_corner([one.lower for one in each], min) if whole else None,
-        upper=_corner([one.upper for one in each], max) if whole else None,
-        gravity=each[0].gravity if all(one.gravity is not None for one in each) else None,
+        lower=_corner([one.lower for one in recordings], min) if whole else None,
+        upper=_corner([one.upper for one in recordings], max) if whole else None,
+        gravity=recordings[0].gravity if all(one.gravity is not None for one in recordings) else None,
         spacing=spacing,
-        density=_common(each, "density"),
-        friction_angle_deg=_common(each, "friction_angle_deg"),
+        density=_common(recordings, "density"),
+        friction_angle_deg=_common(recordings, "friction_angle_deg"),
         questions=questions,
         notes=tuple(notes),
     )
@@ -87,6 +87,6 @@ def _corner(corners: Sequence[tuple[float, ...] | None], outermost: Callable[...
     return tuple(outermost(values) for values in zip(*sized, strict=True))
 
 
-def _common(each: Sequence[Stated], name: str) -> Any:
-    values = {getattr(one, name) for one in each}
+def _common(recordings: Sequence[Stated], name: str) -> Any:
+    values = {getattr(one, name) for one in recordings}
     return values.pop() if len(values) == 1 else None

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.convert.formats.deck import read_deck
+from gns_pl.convert.formats.format import Format, Source
 from gns_pl.convert.formats.source import (
     ForeignSet,
     Recording,
@@ -35,8 +36,8 @@ IDS = ("id", "ids", "particle_id", "GlobalPointIds")
 DISPLACEMENTS = ("displacements", "displacement")
 """What tells particles apart where several ranks write them, best first."""
 
-Carried = dict[str, NDArray[Any]]
-Order = Callable[[NDArray[Any], Carried], NDArray[np.int64]]
+PointArrays = dict[str, NDArray[Any]]
+Order = Callable[[NDArray[Any], PointArrays], NDArray[np.int64]]
 """Points of a frame and what they carry → [N] place in the frame of each particle."""
 
 
@@ -62,16 +63,17 @@ def open_vtk(path: Path, files: Sequence[Path], *, deck: Path | None = None) -> 
         return _open(series[number], stated.friction_angle_deg)
 
     names = tuple((each.split, each.name) for each in series)
-    return ForeignSet(kind, path, names, opener, replace(stated, notes=(*notes, *stated.notes)))
+    stated = replace(stated, notes=(*notes, *stated.notes))
+    return ForeignSet(kind, path, names, opener, stated, si=deck is not None)
 
 
 @contextmanager
 def _open(series: Series, friction_angle_deg: float | None) -> Iterator[Recording]:
-    points, carried = read_frame(series, series.numbers[0])
-    order = _order_of(series, points, carried)
+    points, arrays = read_frame(series, series.numbers[0])
+    order = _order_of(series, points, arrays)
     if order is not None:
-        place = order(points, carried)
-        points, carried = points[place], {name: values[place] for name, values in carried.items()}
+        place = order(points, arrays)
+        points, arrays = points[place], {name: values[place] for name, values in arrays.items()}
     last, _ = read_frame(series, series.numbers[-1], attributes=False)
     axes = [axis for axis in range(3) if points[:, axis].any() or last[:, axis].any()]
     if len(axes) < 2 or len(points) < 2:
@@ -93,12 +95,12 @@ def _open(series: Series, friction_angle_deg: float | None) -> Iterator[Recordin
             frames.append(where[:, axes])
         return np.stack(frames)
 
-    types = carried.get(PARTICLE_TYPE.name)
+    types = arrays.get(PARTICLE_TYPE.name)
     tangent = None if friction_angle_deg is None else np.array(np.tan(np.radians(friction_angle_deg)))
-    material = carried.get(MATERIAL_FEATURES[0], tangent)
-    velocity = carried.get("velocity", carried.get("velocities") if series.numbers[0] == 0 else None)
+    material = arrays.get(MATERIAL_FEATURES[0], tangent)
+    velocity = arrays.get("velocity", arrays.get("velocities") if series.numbers[0] == 0 else None)
     sound = velocity is not None and velocity.shape == points.shape
-    mass = carried.get(MASS.name)
+    mass = arrays.get(MASS.name)
     notes = () if types is not None else ("no particle types are stored; all particles are taken for sand, type 6",)
     if sound:
         notes = (*notes, f"{INITIAL_VELOCITY.name} is the velocity of the first frame")
@@ -116,21 +118,21 @@ def _open(series: Series, friction_angle_deg: float | None) -> Iterator[Recordin
     )
 
 
-def _order_of(series: Series, points: NDArray[Any], carried: Carried) -> Order | None:
+def _order_of(series: Series, points: NDArray[Any], arrays: PointArrays) -> Order | None:
     """Return how particles are found again: by their ids or by where they came from; None: by their place in the file.
 
     Raises:
         InputError: a frame is in several files, between which particles move, and nothing tells them apart.
     """
     for name in IDS:
-        ids = carried.get(name)
+        ids = arrays.get(name)
         if ids is not None and ids.shape == (len(points),) and len(np.unique(ids)) == len(ids):
             return _by_ids(name, np.sort(ids))
     if not series.in_parts:
         return None
     for name in DISPLACEMENTS:
-        if name in carried and carried[name].shape == points.shape:
-            return _by_origin(name, points - carried[name])
+        if name in arrays and arrays[name].shape == points.shape:
+            return _by_origin(name, points - arrays[name])
     raise InputError(
         "has its frames in several files, between which particles may move, and nothing tells them apart (id, or "
         "displacements); write one file a frame, or convert the particles….h5 of the run."
@@ -138,7 +140,7 @@ def _order_of(series: Series, points: NDArray[Any], carried: Carried) -> Order |
 
 
 def _by_ids(name: str, ids: NDArray[Any]) -> Order:
-    def order(where: NDArray[Any], more: Carried) -> NDArray[np.int64]:
+    def order(where: NDArray[Any], more: PointArrays) -> NDArray[np.int64]:
         place = np.argsort(more[name], kind="stable") if name in more else np.arange(0)
         if not len(place) or not np.array_equal(more[name][place], ids):
             raise InputError(f"has other particles, by their {name}, than the first file.")
@@ -154,7 +156,7 @@ def _by_origin(name: str, origins: NDArray[Any]) -> Order:
     tree = cKDTree(origins)
     reach = tree.query(origins, k=2)[0][:, 1].min() / 4 if len(origins) > 1 else np.inf
 
-    def order(where: NDArray[Any], more: Carried) -> NDArray[np.int64]:
+    def order(where: NDArray[Any], more: PointArrays) -> NDArray[np.int64]:
         if name not in more:
             raise InputError(f"lacks {name}, by which particles are found again.")
         distance, particle = tree.query(where - more[name])
@@ -163,3 +165,14 @@ def _by_origin(name: str, origins: NDArray[Any]) -> Order:
         return np.argsort(particle)
 
     return order
+
+
+def _open_source(source: Source) -> ForeignSet | None:
+    files = source.files
+    frames = files.get(".pvd") or sorted(file for ending in ENDINGS for file in files.get(ending, []))
+    if not frames or files.get(".tfrecord"):  # a series beside a set shows it
+        return None
+    return open_vtk(source.path, frames, deck=source.deck)
+
+
+FORMAT = Format("VTK (.pvd, .vtp, .vtu)", (".pvd", *ENDINGS), _open_source, takes_deck=True)

@@ -76,12 +76,12 @@ def find_series(files: Sequence[Path], folder: Path) -> tuple[list[Series], list
         InputError: lists that cannot be used, or frames that are missing; they are named.
     """
     lists = [file for file in files if file.suffix == ".pvd"]
-    found = [_read_list(file, folder) for file in lists] if lists else _numbered(files, folder)
-    series, notes = _joined(found)
+    listed_series = [_read_list(file, folder) for file in lists] if lists else _numbered(files, folder)
+    series, notes = _joined(listed_series)
     steps = set()
     if not lists:
-        steps = {even_step(each.numbers, str(each.folder / each.name)) for each in series} - {None}
-    times = {each.dt for each in series if len(each.numbers) > 1}
+        steps = {even_step(one.numbers, str(one.folder / one.name)) for one in series} - {None}
+    times = {one.dt for one in series if len(one.numbers) > 1}
     known = [time for time in times if time is not None]
     if len(steps) > 1 or (known and (len(known) < len(times) or max(known) > min(known) * (1 + 1e-6))):
         raise InputError(f"{folder}: its series have different intervals between frames; convert them one by one.")
@@ -96,25 +96,25 @@ def read_frame(series: Series, number: int, *, attributes: bool = True) -> tuple
         number: of the frame.
         attributes: whether the files of the attributes are read as well.
     """
-    points, carried = _read(series.frames[number])
+    points, arrays = _read(series.frames[number])
     for other in series.attributes if attributes else ():
         if number in other.frames:
-            carried = {**_read(other.frames[number])[1], **carried}
-    return points, carried
+            arrays = {**_read(other.frames[number])[1], **arrays}
+    return points, arrays
 
 
 def _read(files: Sequence[Path]) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
-    points, carried = [], []
+    points, arrays = [], []
     for file in files:
         with reading(file):
             one, more = read_points(file, empty=len(files) > 1)
         if len(one):
             points.append(one)
-            carried.append(more)
+            arrays.append(more)
     if not points:
         raise InputError(f"{files[0]}: has no points.")
-    names = set(carried[0]).intersection(*carried)
-    return np.concatenate(points), {name: np.concatenate([each[name] for each in carried]) for name in sorted(names)}
+    names = set(arrays[0]).intersection(*arrays)
+    return np.concatenate(points), {name: np.concatenate([part[name] for part in arrays]) for name in sorted(names)}
 
 
 def _read_list(file: Path, folder: Path) -> Series:
@@ -173,7 +173,7 @@ def _even_time(times: NDArray[np.float64]) -> float | None:
 
 
 def _numbered(files: Sequence[Path], folder: Path) -> list[Series]:
-    found: dict[tuple[Path, str], dict[int, dict[int, Path]]] = {}
+    frames_of: dict[tuple[Path, str], dict[int, dict[int, Path]]] = {}
     sizes: dict[tuple[Path, str], int] = {}
     for file in files:
         ranked = _RANKED.fullmatch(file.stem)
@@ -183,12 +183,12 @@ def _numbered(files: Sequence[Path], folder: Path) -> list[Series]:
         stem, number = (match["stem"], int(match["number"])) if match else (file.stem, 0)
         rank, size = (int(ranked["rank"]), int(ranked["size"])) if ranked else (0, 1)
         key = (file.parent, stem)
-        parts = found.setdefault(key, {}).setdefault(number, {})
+        parts = frames_of.setdefault(key, {}).setdefault(number, {})
         same = parts.setdefault(rank, file)
         if same != file or sizes.setdefault(key, size) != size:
             raise InputError(f"{file}: is of the same series and frame as {same.name}; keep one of the two.")
     series = []
-    for (parent, stem), frames in sorted(found.items()):
+    for (parent, stem), frames in sorted(frames_of.items()):
         size = sizes[parent, stem]
         for number, parts in frames.items():
             if sorted(parts) != list(range(size)):
@@ -199,32 +199,34 @@ def _numbered(files: Sequence[Path], folder: Path) -> list[Series]:
     return series
 
 
-def _joined(found: Sequence[Series]) -> tuple[list[Series], list[str]]:
+def _joined(all_series: Sequence[Series]) -> tuple[list[Series], list[str]]:
     """Return the series of particles, each with those of the same points as its attributes, and sentences."""
     folders: dict[Path, list[Series]] = defaultdict(list)
-    for each in found:
-        folders[each.folder].append(each)
-    kept: list[Series] = []
+    for series in all_series:
+        folders[series.folder].append(series)
+    joined: list[Series] = []
     notes: list[str] = []
     look = functools.cache(_look)
     for folder, beside in folders.items():
-        meshes = [each for each in beside if len(beside) > 1 and _is_mesh(each)]
+        meshes = [series for series in beside if len(beside) > 1 and _is_mesh(series)]
         if len(meshes) < len(beside):
-            notes += [f"{each.name} in {folder} has cells: it is a mesh, no particles, and left out" for each in meshes]
-            beside = [each for each in beside if each not in meshes]
+            notes += [
+                f"{series.name} in {folder} has cells: it is a mesh, no particles, and left out" for series in meshes
+            ]
+            beside = [series for series in beside if series not in meshes]
         hosts: list[Series] = []
-        for each in sorted(beside, key=lambda one: (-len(one.numbers), one.name)):
-            place = next((k for k, host in enumerate(hosts) if _belongs(each, host, look)), None)
+        for series in sorted(beside, key=lambda one: (-len(one.numbers), one.name)):
+            place = next((k for k, host in enumerate(hosts) if _belongs(series, host, look)), None)
             if place is None:
-                hosts.append(each)
+                hosts.append(series)
             else:
-                hosts[place] = replace(hosts[place], attributes=(*hosts[place].attributes, each))
+                hosts[place] = replace(hosts[place], attributes=(*hosts[place].attributes, series))
         for host in sorted(hosts, key=lambda one: one.name):
             if host.attributes:
-                names = listed([host.name, *(each.name for each in host.attributes)])
+                names = listed([host.name, *(series.name for series in host.attributes)])
                 notes.append(f"{names} in {folder} have the same points and are one trajectory")
-            kept.append(replace(host, name=folder.name) if host.attributes and len(hosts) == 1 else host)
-    return kept, notes
+            joined.append(replace(host, name=folder.name) if host.attributes and len(hosts) == 1 else host)
+    return joined, notes
 
 
 def _is_mesh(series: Series) -> bool:
@@ -234,18 +236,18 @@ def _is_mesh(series: Series) -> bool:
 
 def _look(files: tuple[Path, ...]) -> tuple[str, frozenset[str]]:
     """Return a digest of the points of a frame, and the names of what they carry."""
-    points, carried = _read(files)
-    return hashlib.sha256(points.astype(np.float64).tobytes()).hexdigest(), frozenset(carried)
+    points, arrays = _read(files)
+    return hashlib.sha256(points.astype(np.float64).tobytes()).hexdigest(), frozenset(arrays)
 
 
-def _belongs(each: Series, host: Series, look: Callable[[tuple[Path, ...]], tuple[str, frozenset[str]]]) -> bool:
+def _belongs(series: Series, host: Series, look: Callable[[tuple[Path, ...]], tuple[str, frozenset[str]]]) -> bool:
     """Return whether a series has the points of another and carries other things; equal runs carry the same."""
-    common = sorted(set(each.numbers) & set(host.numbers))
-    if each.dt != host.dt or not common or (len(common) == 1 and len(each.numbers) > 1):
+    common = sorted(set(series.numbers) & set(host.numbers))
+    if series.dt != host.dt or not common or (len(common) == 1 and len(series.numbers) > 1):
         return False
-    names = look(each.frames[common[0]])[1]
+    names = look(series.frames[common[0]])[1]
     taken = [look(one.frames[one.numbers[0]])[1] for one in (host, *host.attributes)]
     if names & frozenset().union(*taken):
         return False
     places = {common[0], common[len(common) // 2], common[-1]}
-    return all(look(each.frames[place])[0] == look(host.frames[place])[0] for place in places)
+    return all(look(series.frames[place])[0] == look(host.frames[place])[0] for place in places)

@@ -56,7 +56,7 @@ def read_points(path: Path, *, empty: bool = False) -> tuple[NDArray[Any], dict[
     if kind not in PIECES:
         raise InputError(f"holds {kind or 'something'} and not PolyData or UnstructuredGrid.")
     points: list[NDArray[Any]] = []
-    carried: dict[str, list[NDArray[Any]]] = {}
+    arrays: dict[str, list[NDArray[Any]]] = {}
     for piece in root.findall(PIECES[kind]):
         number = int(piece.get("NumberOfPoints", "0"))
         if number == 0:
@@ -67,12 +67,12 @@ def read_points(path: Path, *, empty: bool = False) -> tuple[NDArray[Any], dict[
         points.append(_numbers(place, number, encoding, components=3))
         for array in piece.findall("PointData/DataArray"):
             if array.get("type") in KINDS:
-                carried.setdefault(array.get("Name", ""), []).append(_numbers(array, number, encoding))
+                arrays.setdefault(array.get("Name", ""), []).append(_numbers(array, number, encoding))
     if not points:
         if empty:
             return np.empty((0, 3)), {}
         raise InputError("has no points.")
-    whole = {name: np.concatenate(parts) for name, parts in carried.items() if len(parts) == len(points)}
+    whole = {name: np.concatenate(parts) for name, parts in arrays.items() if len(parts) == len(points)}
     return np.concatenate(points), whole
 
 

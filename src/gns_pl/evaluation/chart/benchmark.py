@@ -27,7 +27,7 @@ def benchmark_config(cfg: DictConfig) -> list[Path]:
     """
     from omegaconf import OmegaConf
 
-    from gns_pl.evaluation.doors import check_figures, named_checkpoints
+    from gns_pl.evaluation.checks import check_figures, named_checkpoints
     from gns_pl.models.shipped import is_corrector
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]

@@ -7,7 +7,7 @@ from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.converged import Converged
-from gns_pl.evaluation.doors import named_checkpoints
+from gns_pl.evaluation.checks import named_checkpoints
 from gns_pl.models.shipped import find_checkpoint, find_corrector, is_corrector
 from gns_pl.rollout.policy import Policy
 from gns_pl.scene import Scene

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError, tolerated
-from gns_pl.evaluation.doors import check_figures, default_folder, make_folder, named_checkpoints
+from gns_pl.evaluation.checks import check_figures, default_folder, make_folder, named_checkpoints
 from gns_pl.evaluation.scenes import chosen
 from gns_pl.io.atomic import write_atomically
 from gns_pl.text import command
@@ -121,10 +121,10 @@ def run_suite(
         known = {row.scene for row in rows if row.identity == subject.identity}
         dim = subject.checkpoint.simulator.config.dim if subject.checkpoint else dim
         scenes = list(stress_scenes(Sand.of(subject.data, dim, subject.interval), seed))
-        for number, each in enumerate(scene for scene in scenes if scene.axis in axes):
-            if each.scene.name not in known:
-                print(f"\r{subject.name}: {each.scene.name} ({number + 1})\033[K", end="", flush=True)
-                rows.append(run_scene(subject, each, seed=seed, cache=cache))
+        for number, stress in enumerate(scene for scene in scenes if scene.axis in axes):
+            if stress.scene.name not in known:
+                print(f"\r{subject.name}: {stress.scene.name} ({number + 1})\033[K", end="", flush=True)
+                rows.append(run_scene(subject, stress, seed=seed, cache=cache))
                 report.write_rows(table, rows)
         print(f"\r{subject.name}: done\033[K", flush=True)
     files = [table, out / "stress.md"]
@@ -139,11 +139,11 @@ def run_suite(
             print(f"  {folder}")
     return {
         name: {
-            "scenes": len(some),
-            "failed": sum(bool(row.kind) for row in some),
-            "failed_inside": sum(bool(row.kind) and row.inside for row in some),
+            "scenes": len(own_rows),
+            "failed": sum(bool(row.kind) for row in own_rows),
+            "failed_inside": sum(bool(row.kind) and row.inside for row in own_rows),
         }
-        for name, some in report.by_model(rows).items()
+        for name, own_rows in report.by_model(rows).items()
     }
 
 
@@ -189,4 +189,6 @@ def _solved(
         solver.solver_config(settings)  # refuses what no run could use
         data = {**sand, "walls": walls, "mpm": settings}
         words = ", ".join(f"{key} {value}" for key, value in (changes or {}).items()) or "as tuned"
-        yield Subject(name, _identity(solver.solver_version(), data, dim, interval, seed), words, data, interval)
+        yield Subject(
+            name, _identity(solver.solver_version(settings), data, dim, interval, seed), words, data, interval
+        )

@@ -24,7 +24,8 @@ def read_rows(path: Path) -> list[Row]:
     """
     if not path.is_file():
         return []
-    return read_table(path, Row, "is no table of the stress suite; remove it, or choose another out=")
+    advice = "is no table of the stress suite; remove it, or choose another out="
+    return read_table(path, Row, advice, renamed={"sentence": "message", "left_at": "exit_time"})
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -44,17 +45,17 @@ def summary_table(rows: Sequence[Row]) -> str:
         "[spacings] | momentum not explained [g] | seconds |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for name, some in by_model(rows).items():
-        failed, inside = [row for row in some if row.kind], [row for row in some if row.inside]
+    for name, own_rows in by_model(rows).items():
+        failed, inside = [row for row in own_rows if row.kind], [row for row in own_rows if row.inside]
         kinds = ", ".join(f"{kind} {number}" for kind, number in Counter(row.kind for row in failed).most_common())
-        heaps = [row for row in some if not math.isnan(row.drift)]
+        heaps = [row for row in own_rows if not math.isnan(row.drift)]
         drift = f"{max(r.drift for r in heaps):.2f}, {max(r.drift_largest for r in heaps):.2f}" if heaps else "–"
-        told = f"{sum(row.announced for row in failed)} of {len(failed)}" if failed else "–"
+        announced = f"{sum(row.announced for row in failed)} of {len(failed)}" if failed else "–"
         lost = f"{sum(bool(row.kind) for row in inside)} of {len(inside)}"
-        momentum = max(row.momentum for row in some)
+        momentum = max(row.momentum for row in own_rows)
         lines.append(
-            f"| `{name}` | {len(failed)} of {len(some)} | {lost} | {told} | {kinds or '–'} | {drift} | {momentum:.2f} "
-            f"| {sum(row.seconds for row in some):.0f} |"
+            f"| `{name}` | {len(failed)} of {len(own_rows)} | {lost} | {announced} | {kinds or '–'} | {drift} "
+            f"| {momentum:.2f} | {sum(row.seconds for row in own_rows):.0f} |"
         )
     return "\n".join(lines)
 
@@ -65,8 +66,8 @@ def axis_table(rows: Sequence[Row]) -> str:
     lines = ["| axis | scenes | " + " | ".join(f"`{name}`" for name in models) + " |", "|---" * (len(models) + 2) + "|"]
     for axis in dict.fromkeys(row.axis for row in rows):
         cells, number = [], 0
-        for some in models.values():
-            along = [row for row in some if row.axis == axis]
+        for own_rows in models.values():
+            along = [row for row in own_rows if row.axis == axis]
             number = max(number, len(along))
             times = [row.failed_at for row in along if row.kind]
             cells.append(f"{len(times)} (from {min(times):.1f} τc)" if times else "0" if along else "–")
@@ -77,13 +78,13 @@ def axis_table(rows: Sequence[Row]) -> str:
 def failures(rows: Sequence[Row]) -> str:
     """Return sentences for failures within the data and for those that were not foretold, in Markdown."""
     lines = []
-    for name, some in by_model(rows).items():
-        found = [row for row in some if row.kind and (row.inside or not row.announced)]
-        for row in found[:NAMED]:
+    for name, own_rows in by_model(rows).items():
+        unexpected = [row for row in own_rows if row.kind and (row.inside or not row.announced)]
+        for row in unexpected[:NAMED]:
             where = "within its data" if row.inside else "not foretold"
-            lines.append(f"- `{name}`, {row.scene} ({row.value}), {where}: {row.sentence}.")
-        if len(found) > NAMED:
-            lines.append(f"- `{name}`: and {len(found) - NAMED} more (stress.csv).")
+            lines.append(f"- `{name}`, {row.scene} ({row.value}), {where}: {row.message}.")
+        if len(unexpected) > NAMED:
+            lines.append(f"- `{name}`: and {len(unexpected) - NAMED} more (stress.csv).")
     return "\n".join(lines) or "None."
 
 
@@ -94,7 +95,7 @@ def document(rows: Sequence[Row], seed: int) -> str:
         rows: of all models.
         seed: of the scenes.
     """
-    settings = "\n".join(f"- `{name}`: {some[0].settings}" for name, some in by_model(rows).items())
+    settings = "\n".join(f"- `{name}`: {own_rows[0].settings}" for name, own_rows in by_model(rows).items())
     return f"""# Stress suite
 
 Scenes of seed {seed}. Learned runs stabilised by, or settings of the material point method that differ:
@@ -132,8 +133,11 @@ def draw(rows: Sequence[Row], out: Path, shown: Sequence[str] | None = None) -> 
 
     paths = [out / "stress.png", out / "stress.pdf"]
     curves = {
-        name: {axis: survival([r for r in some if r.axis == axis]) for axis in dict.fromkeys(r.axis for r in some)}
-        for name, some in by_model(rows).items()
+        name: {
+            axis: survival([row for row in own_rows if row.axis == axis])
+            for axis in dict.fromkeys(row.axis for row in own_rows)
+        }
+        for name, own_rows in by_model(rows).items()
         if not shown or name in shown
     }
     plot_survival(curves, paths)

@@ -45,8 +45,8 @@ class Row:
         duration: to be simulated [τc].
         kind: of the first failure; empty if there is none.
         failed_at: its time [τc]; NaN if there is none.
-        sentence: what was seen.
-        left_at: time at which the run left the training range [τc]; NaN if it did not, or nobody can say.
+        message: what was seen.
+        exit_time: at which the run left the training range [τc]; NaN if it did not, or nobody can say.
         energy_rise: largest rise of the energy over the least before, over that at the start.
         crowded: largest share of particles nearer than 0.3 of the first distance of neighbours.
         momentum: 95 % of the frames leave less of the acceleration unexplained [g].
@@ -67,8 +67,8 @@ class Row:
     duration: float
     kind: str
     failed_at: float
-    sentence: str
-    left_at: float
+    message: str
+    exit_time: float
     energy_rise: float
     crowded: float
     momentum: float
@@ -79,7 +79,7 @@ class Row:
     @property
     def announced(self) -> bool:
         """Whether the failure was foretold: the scene is beyond the data, or the run had left the training range."""
-        return bool(self.kind) and (not self.inside or self.left_at <= self.failed_at)
+        return bool(self.kind) and (not self.inside or self.exit_time <= self.failed_at)
 
 
 @dataclass(frozen=True)
@@ -115,16 +115,16 @@ def run_scene(subject: Subject, stress: StressScene, *, seed: int, cache: Path) 
         cache: folder of references, which heaps start from.
     """
     solve = _learned if subject.checkpoint is not None else _solved
-    made, watch, seconds, inside, left_at = solve(subject, stress, seed, cache)
+    trajectory, watch, seconds, inside, exit_time = solve(subject, stress, seed, cache)
     failure, scene = watch.failure, stress.scene
     tau, heap = characteristic_time(scene), stress.axis == "heap"
-    spacing = particle_spacing(made)
+    spacing = particle_spacing(trajectory)
     steps = round(scene.duration / subject.interval)
-    momentum = momentum_residual(made, 1.5 * spacing) if made.num_frames > 2 else np.zeros(1)
+    momentum = momentum_residual(trajectory, 1.5 * spacing) if trajectory.num_frames > 2 else np.zeros(1)
     drift = drift_largest = math.nan
-    if heap and made.num_frames > 1:
-        centre = centre_of_mass(made)
-        moved = np.linalg.norm(made.position[-1].astype(np.float64) - made.position[0], axis=1)
+    if heap and trajectory.num_frames > 1:
+        centre = centre_of_mass(trajectory)
+        moved = np.linalg.norm(trajectory.position[-1].astype(np.float64) - trajectory.position[0], axis=1)
         drift, drift_largest = float(np.linalg.norm(centre[-1] - centre[0])) / spacing, float(moved.max()) / spacing
     return Row(
         model=subject.name,
@@ -134,13 +134,13 @@ def run_scene(subject: Subject, stress: StressScene, *, seed: int, cache: Path) 
         axis=stress.axis,
         value=stress.value,
         inside=inside,
-        particles=made.num_particles,
+        particles=trajectory.num_particles,
         steps=steps,
         duration=scene.duration / tau,
         kind=failure.kind if failure else "",
         failed_at=failure.time / tau if failure else math.nan,
-        sentence=failure.sentence if failure else "",
-        left_at=math.nan if left_at is None else left_at / tau,
+        message=failure.message if failure else "",
+        exit_time=math.nan if exit_time is None else exit_time / tau,
         energy_rise=watch.rise,
         crowded=watch.crowded,
         momentum=float(np.quantile(momentum, 0.95)),
@@ -178,12 +178,12 @@ def _learned(subject: Subject, stress: StressScene, seed: int, cache: Path) -> O
         start = start_trajectory(scene, particles, config.dt, {})
     watch = Watch(start, config.dt)
     began = time.perf_counter()
-    made = rollout(subject.stepper or checkpoint.simulator, start, round(scene.duration / config.dt), watch=watch)
+    trajectory = rollout(subject.stepper or checkpoint.simulator, start, round(scene.duration / config.dt), watch=watch)
     seconds = time.perf_counter() - began
-    seen = compute_ood(checkpoint, made, every=max(1, made.num_frames // 100))
+    ood = compute_ood(checkpoint, trajectory, every=max(1, trajectory.num_frames // 100))
     usual = stress.coarseness == 1 and stress.jitter is None and not stress.shake and not stress.displaced
     inside = usual and next(out_of_range(scene, data), None) is None
-    return made, watch, seconds, inside, None if seen is None else seen.exit_time
+    return trajectory, watch, seconds, inside, None if ood is None else ood.exit_time
 
 
 def _solved(subject: Subject, stress: StressScene, seed: int, cache: Path) -> Outcome:
@@ -215,8 +215,8 @@ def _solved(subject: Subject, stress: StressScene, seed: int, cache: Path) -> Ou
         watch = watch if frames else Watch(start, interval)
         failure = Failure("stopped", (len(frames) + 1) * interval, str(error))
         watch.failure = watch.failure or failure
-    made = replace(start, position=np.stack([start.position[0], *frames]))
-    return made, watch, time.perf_counter() - began, True, None
+    trajectory = replace(start, position=np.stack([start.position[0], *frames]))
+    return trajectory, watch, time.perf_counter() - began, True, None
 
 
 def _filled(stress: StressScene, spacing: float, jitter: float, seed: int) -> Particles:

@@ -136,8 +136,8 @@ def stress_scenes(sand: Sand, seed: int) -> Iterator[StressScene]:
     """
     for axis in AXES:
         draw = np.random.default_rng([seed, AXES.index(axis)])
-        for number, each in enumerate(_MAKERS[axis](sand, draw)):
-            yield StressScene(axis=axis, **{**each, "scene": each["scene"].replace(name=f"{axis}_{number}")})
+        for number, settings in enumerate(_MAKERS[axis](sand, draw)):
+            yield StressScene(axis=axis, **{**settings, "scene": settings["scene"].replace(name=f"{axis}_{number}")})
 
 
 Made = Iterator[dict[str, Any]]

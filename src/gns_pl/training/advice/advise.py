@@ -15,9 +15,10 @@ from gns_pl.generation import DatasetSpec, chosen_every, generate_dataset, is_im
 from gns_pl.generation.records import first_difference
 from gns_pl.io import MANIFEST_NAME, Manifest, read_manifest
 from gns_pl.models.registry import simulator_config
+from gns_pl.models.shipped import CORRECTOR_KIND
 from gns_pl.text import command, override
 from gns_pl.training.advice import report
-from gns_pl.training.advice.numbers import compute_advice
+from gns_pl.training.advice.derived import compute_advice
 from gns_pl.training.advice.suggestions import suggest
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.train import check_model, choose_features
@@ -42,6 +43,8 @@ def advise(cfg: DictConfig, output: Path) -> Path:
         InputError: settings or data that cannot be used.
     """
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    if settings["model"].get("kind") == CORRECTOR_KIND:
+        raise InputError("advise=true has no advice for a corrector of coarse MPM; leave it out.")
     training = TrainingConfig.from_dict(settings["training"])
     check_model(settings["model"])
     settings["data"] = resolved_data(settings["data"])

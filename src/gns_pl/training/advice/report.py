@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gns_pl import __version__
-from gns_pl.data.findings import IMPACT_SHARE, MOVING_SHARE, SPEED_AT_REST
+from gns_pl.data.survey_record import IMPACT_SHARE, MOVING_SHARE, SPEED_AT_REST
 from gns_pl.text import number, without_nan
-from gns_pl.training.advice.faults import Suggestion, percent
-from gns_pl.training.advice.numbers import Advice
+from gns_pl.training.advice.data_errors import Suggestion, percent
+from gns_pl.training.advice.derived import Advice
 
 FORMAT, FORMAT_VERSION = "gns_pl advice", 1
 
@@ -67,7 +67,7 @@ def suggestion_lines(suggestions: Sequence[Suggestion]) -> list[str]:
         return ["Nothing to change."]
     lines = ["Suggestions:"]
     for index, suggestion in enumerate(suggestions, start=1):
-        lines.append(f"{index:>2}. {suggestion.sentence[0].upper()}{suggestion.sentence[1:]}")
+        lines.append(f"{index:>2}. {suggestion.message[0].upper()}{suggestion.message[1:]}")
         if suggestion.change is not None:
             quoted = f"'{suggestion.change}'" if "{" in suggestion.change else suggestion.change
             lines.append(f"    {quoted}")
@@ -84,7 +84,7 @@ def rows(advice: Advice) -> list[tuple[str, str, str]]:
 def _size_rows(advice: Advice) -> list[tuple[str, str, str]]:
     survey, training = advice.survey, advice.training
     sizes, starts = survey.sizes, survey.starts
-    kept = "kept in memory" if sizes.bytes <= training.memory_limit else "read window by window"
+    storage = "kept in memory" if sizes.bytes <= training.memory_limit else "read window by window"
     low, middle, high = starts.aspect_ratio
     return [
         (
@@ -96,7 +96,7 @@ def _size_rows(advice: Advice) -> list[tuple[str, str, str]]:
         (
             "positions",
             f"{sizes.bytes / 1e9:.2g} GB",
-            f"{kept} (training.memory_limit {training.memory_limit / 1e9:.2g} GB)",
+            f"{storage} (training.memory_limit {training.memory_limit / 1e9:.2g} GB)",
         ),
         (
             "a pass",
@@ -148,7 +148,7 @@ def _density_rows(advice: Advice) -> list[tuple[str, str, str]]:
 
 
 def _motion_rows(advice: Advice) -> list[tuple[str, str, str]]:
-    motion, faults = advice.survey.motion, advice.survey.faults
+    motion, data_errors = advice.survey.motion, advice.survey.data_errors
     spacing, radius = advice.survey.density.spacing, advice.survey.density.radius
     middle, high, higher, most = (step / spacing for step in motion.step)
     measured = (
@@ -179,9 +179,9 @@ def _motion_rows(advice: Advice) -> list[tuple[str, str, str]]:
         ),
         (
             "outside the box",
-            percent(faults.outside),
-            f"of the particles, by more than a spacing; largest coordinate {number(faults.extent)} m; "
-            f"{len(faults.not_finite)} files not finite",
+            percent(data_errors.outside),
+            f"of the particles, by more than a spacing; largest coordinate {number(data_errors.extent)} m; "
+            f"{len(data_errors.not_finite)} files not finite",
         ),
     ]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 from gns_pl.graph.radius import RADIUS, advised_radius
-from gns_pl.training.advice.faults import FAULTS, Rule, Suggestion, percent
-from gns_pl.training.advice.numbers import Advice, target_noise
+from gns_pl.training.advice.data_errors import DATA_ERRORS, Rule, Suggestion, percent
+from gns_pl.training.advice.derived import Advice, target_noise
 
 NEIGHBOURS = {2: (4.0, 20.0), 3: (8.0, 60.0)}
 """D → least and largest mean number of neighbours; at `RADIUS` spacings there are about 11 and 28."""
@@ -49,8 +49,8 @@ def suggest(advice: Advice) -> list[Suggestion]:
     Args:
         advice: the numbers.
     """
-    wrong = [found for rule in FAULTS if (found := rule(advice)) is not None]
-    return wrong or [found for rule in RULES if (found := rule(advice)) is not None]
+    wrong = [suggestion for rule in DATA_ERRORS if (suggestion := rule(advice)) is not None]
+    return wrong or [suggestion for rule in RULES if (suggestion := rule(advice)) is not None]
 
 
 def _radius(advice: Advice) -> Suggestion | None:

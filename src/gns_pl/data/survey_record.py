@@ -78,7 +78,7 @@ class Density:
 
     Attributes:
         spacing: nominal, of the manifest [m].
-        measured: edge of the cube that a particle has to itself at the start (`probes.interior_spacing`) [m].
+        measured: edge of the cube that a particle has to itself at the start (`estimators.interior_spacing`) [m].
         nearest: median distance to the nearest neighbour at the start [m].
         nearest_low: distance to the nearest neighbour that 1 % fall short of, in all windows [m].
         end_over_start: median over trajectories of the density inside the material at the end over that at the start.
@@ -135,7 +135,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Faults:
+class DataErrors:
     """What no sound data set has.
 
     Attributes:
@@ -163,7 +163,7 @@ class Survey:
         starts: how it begins.
         density: how close particles lie.
         motion: how they move.
-        faults: what should not be.
+        data_errors: what should not be.
     """
 
     name: str
@@ -173,4 +173,4 @@ class Survey:
     starts: Starts
     density: Density
     motion: Motion
-    faults: Faults
+    data_errors: DataErrors

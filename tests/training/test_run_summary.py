@@ -15,9 +15,9 @@ from PIL import Image
 
 from gns_pl.models.checkpoint import load_checkpoint
 from gns_pl.text import override
-from gns_pl.training.close import best_validation
 from gns_pl.training.history import History, read_history
 from gns_pl.training.resume import find_resume
+from gns_pl.training.run_summary import best_validation
 from gns_pl.training.summary import described, read_summary, summary_lines
 from gns_pl.training.train import train
 from tests.training import fake_logger
@@ -96,7 +96,7 @@ def test_loggers_that_take_images_get_a_rollout_and_the_learning_curve(data_root
 def test_without_matplotlib_a_run_still_ends_well(
     data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for module in ("close", "rollout_figure"):
+    for module in ("run_summary", "rollout_figure"):
         monkeypatch.setattr(f"gns_pl.training.{module}.missing_packages", lambda: ["matplotlib"])
     train(with_images(make_config(data_root, tmp_path)), tmp_path, None)
     assert fake_logger.LOGGED == [] and not (tmp_path / "learning_curve.png").exists()

@@ -195,11 +195,11 @@ def _behind(window: Window, point: Floats, normal: Floats) -> Floats:
     """Return the corners of the part of a window that lies behind a plane [M, 3] [m]."""
     corners = window.corners()
     height = (corners - point) @ normal
-    kept = list(corners[height <= 0])
+    polygon = list(corners[height <= 0])
     for a, b in window.edges():
         if (height[a] < 0) != (height[b] < 0):
-            kept.append(corners[a] + height[a] / (height[a] - height[b]) * (corners[b] - corners[a]))
-    return np.array(kept).reshape(-1, 3)
+            polygon.append(corners[a] + height[a] / (height[a] - height[b]) * (corners[b] - corners[a]))
+    return np.array(polygon).reshape(-1, 3)
 
 
 def values_of(trajectory: Trajectory, frame: int, colour: str) -> Floats:

@@ -17,7 +17,7 @@ def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
     Raises:
         InputError: one that is not there.
     """
-    found: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     for text in wanted:
         if is_corrector(text) and find_corrector(text).is_file():
             raise InputError(
@@ -25,15 +25,15 @@ def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
                 f"{override('ckpt', text)} runs it, and benchmark.py {override('ckpt', text)} measures it."
             )
         path = existing_checkpoint(text)
-        if path in found.values():
+        if path in paths.values():
             continue
         name = text if path != Path(text) else path.parent.name or path.stem
-        if name in found:
+        if name in paths:
             name = f"{name}_{path.stem}"
-        if name in found:
-            name = f"{name}_{len(found) + 1}"
-        found[name] = path
-    return found
+        if name in paths:
+            name = f"{name}_{len(paths) + 1}"
+        paths[name] = path
+    return paths
 
 
 def default_folder(wanted: str | Sequence[str], checkpoints: Mapping[str, Path]) -> Path:

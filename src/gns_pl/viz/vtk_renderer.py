@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.trajectory import Trajectory
-from gns_pl.viz.stage import Camera, Window, grain_diameters, obstacle_solids
+from gns_pl.viz.camera import Camera, Window, grain_diameters, obstacle_solids
 
 Pixels = NDArray[np.uint8]
 
@@ -43,7 +43,7 @@ def draws_without_screen() -> bool:
     return subprocess.run([sys.executable, "-c", PROBE], capture_output=True, check=False).returncode == 0
 
 
-class Studio:
+class VTKRenderer:
     """VTK's window, with the box and its obstacles in it, for pictures of any grains."""
 
     def __init__(

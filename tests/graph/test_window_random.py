@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gns_pl.graph import Draws
-from gns_pl.graph.draws import split_mix, standard_normal, unit_interval
+from gns_pl.graph import WindowRandom
+from gns_pl.graph.window_random import split_mix, standard_normal, unit_interval
 
 SIZES = (5, 1, 300)
 
 
-def draws(numbers: list[int], sizes: list[int], seed: int = 3) -> Draws:
-    return Draws(seed, torch.tensor(numbers), torch.arange(len(sizes)).repeat_interleave(torch.tensor(sizes)))
+def window_random(numbers: list[int], sizes: list[int], seed: int = 3) -> WindowRandom:
+    return WindowRandom(seed, torch.tensor(numbers), torch.arange(len(sizes)).repeat_interleave(torch.tensor(sizes)))
 
 
 def test_split_mix_is_the_published_generator() -> None:
@@ -29,10 +29,10 @@ def test_split_mix_is_the_published_generator() -> None:
 
 def test_a_window_draws_the_same_alone_and_in_a_batch() -> None:
     numbers = [17, 4, 10**12]
-    joined = draws(numbers, list(SIZES))
+    joined = window_random(numbers, list(SIZES))
     offset = 0
     for place, (number, size) in enumerate(zip(numbers, SIZES, strict=True)):
-        alone = draws([number], [size])
+        alone = window_random([number], [size])
         for name in ("uniform", "normal"):
             whole, own = (getattr(d, name)("wave", 4, 3, dtype=torch.float64) for d in (joined, alone))
             torch.testing.assert_close(whole[place], own[0], rtol=1e-6, atol=0)
@@ -43,12 +43,12 @@ def test_a_window_draws_the_same_alone_and_in_a_batch() -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_distributions(dtype: torch.dtype) -> None:
-    many = draws(list(range(2000)), [1] * 2000)
+    many = window_random(list(range(2000)), [1] * 2000)
     uniform = many.uniform("u", 100, dtype=dtype)
     assert uniform.dtype == dtype and uniform.min() > 0 and uniform.max() < 1
     counts = torch.histc(uniform.double(), 50, 0, 1)
     assert ((counts - 4000) ** 2 / 4000).sum() < 49 + 4 * 2**0.5 * 49**0.5  # χ², four standard deviations
-    normal = draws([0], [30000]).particle_normal("n", 5, 3, dtype=dtype).double()
+    normal = window_random([0], [30000]).particle_normal("n", 5, 3, dtype=dtype).double()
     assert normal.isfinite().all() and abs(normal.mean()) < 4 * normal.numel() ** -0.5
     assert abs(normal.var() - 1) < 4 * (2 / normal.numel()) ** 0.5
     assert abs((normal**4).mean() - 3) < 4 * (96 / normal.numel()) ** 0.5
@@ -63,18 +63,21 @@ def test_no_word_makes_a_number_that_is_not_finite() -> None:
 
 
 def test_windows_particles_components_purposes_and_seeds_are_independent() -> None:
-    base = draws([0, 1], [4000, 4000]).particle_normal("n", 3, dtype=torch.float64)
+    base = window_random([0, 1], [4000, 4000]).particle_normal("n", 3, dtype=torch.float64)
     others = {
         "windows": (base[:4000], base[4000:]),
         "particles": (base[:-1], base[1:]),
         "components": (base[:, :-1], base[:, 1:]),
-        "purposes": (base, draws([0, 1], [4000, 4000]).particle_normal("m", 3, dtype=torch.float64)),
-        "seeds": (base, draws([0, 1], [4000, 4000], seed=4).particle_normal("n", 3, dtype=torch.float64)),
+        "purposes": (base, window_random([0, 1], [4000, 4000]).particle_normal("m", 3, dtype=torch.float64)),
+        "seeds": (base, window_random([0, 1], [4000, 4000], seed=4).particle_normal("n", 3, dtype=torch.float64)),
     }
     for name, (one, two) in others.items():
         assert abs((one * two).mean()) < 4 * one.numel() ** -0.5, name
 
 
 def test_any_seed_is_taken() -> None:
-    values = [float(draws([0], [1], seed=seed).uniform("u", dtype=torch.float64)) for seed in (-1, 0, 2**63, 2**70 + 1)]
+    values = [
+        float(window_random([0], [1], seed=seed).uniform("u", dtype=torch.float64))
+        for seed in (-1, 0, 2**63, 2**70 + 1)
+    ]
     assert len(set(values)) == 4

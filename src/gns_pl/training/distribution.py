@@ -13,7 +13,7 @@ from torch_geometric.data import Batch
 
 from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
-from gns_pl.graph import Draws, Seen
+from gns_pl.graph import TrainingDistribution, WindowRandom
 from gns_pl.io import manifest_sha256, read_manifest
 from gns_pl.models.checkpoint import load_checkpoint, save_checkpoint
 from gns_pl.models.simulator import Simulator
@@ -24,7 +24,9 @@ WINDOWS, PARTICLES = 400, 100_000
 """So many windows are looked at, or as many as have so many particles."""
 
 
-def measure_seen(simulator: Simulator, windows: WindowDataset, *, symmetry: bool, seed: int, source: str = "") -> Seen:
+def measure_distribution(
+    simulator: Simulator, windows: WindowDataset, *, symmetry: bool, seed: int, source: str = ""
+) -> TrainingDistribution:
     """Summarise the states of random windows, without noise; nothing else draws from these random numbers.
 
     Args:
@@ -40,15 +42,15 @@ def measure_seen(simulator: Simulator, windows: WindowDataset, *, symmetry: bool
             batch = Batch.from_data_list([windows[index, number]])
             position, static = batch.position, static_of_batch(batch)
             if symmetry:
-                position, static = sample_symmetry(position, static, Draws(seed, batch.number, static.batch))
+                position, static = sample_symmetry(position, static, WindowRandom(seed, batch.number, static.batch))
             states.append(simulator.state(position[:, :length], static)[static.moved])
             left -= len(states[-1])
             if left <= 0:
                 break
-    return Seen.of(torch.cat(states), simulator.state_names(), source)
+    return TrainingDistribution.of(torch.cat(states), simulator.state_names(), source)
 
 
-def add_seen(path: str | Path, directory: Path, out: Path) -> str | None:
+def add_distribution(path: str | Path, directory: Path, out: Path) -> str | None:
     """Write a checkpoint again with what its network saw; weights, config and provenance stay as they are.
 
     Args:
@@ -81,8 +83,8 @@ def add_seen(path: str | Path, directory: Path, out: Path) -> str | None:
     )
     source, symmetry = manifest_sha256(directory), training["optimisation"]["symmetry"]
     seed = int(provenance["config"].get("seed", 0))
-    seen = measure_seen(checkpoint.simulator, windows, symmetry=symmetry, seed=seed, source=source)
-    save_checkpoint(out, replace(checkpoint, seen=seen))
+    distribution = measure_distribution(checkpoint.simulator, windows, symmetry=symmetry, seed=seed, source=source)
+    save_checkpoint(out, replace(checkpoint, distribution=distribution))
     if source == provenance.get("manifest_sha256"):
         return None
     return f"{directory}: was made anew since {path} was trained; what it saw is measured on the set as it is now."

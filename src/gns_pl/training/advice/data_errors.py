@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from gns_pl.errors import InputError
 from gns_pl.scene.origin import check_coarseness
-from gns_pl.training.advice.numbers import Advice
+from gns_pl.training.advice.derived import Advice
 
 SPACING_FACTOR, GRAVITY_FACTOR, SAME_FACTOR, STATISTICS_FACTOR = 1.3, 1.05, 1.15, 2.0
 """Within these factors what is measured fits what is stated: spacing, gravity, one against the other, velocities."""
@@ -25,11 +25,11 @@ class Suggestion:
     """One thing to change.
 
     Attributes:
-        sentence: why, with the number.
+        message: why, with the number.
         change: setting as one types it; None where the data themselves need mending.
     """
 
-    sentence: str
+    message: str
     change: str | None = None
 
 
@@ -37,7 +37,7 @@ Rule = Callable[[Advice], Suggestion | None]
 
 
 def _finite(advice: Advice) -> Suggestion | None:
-    bad = advice.survey.faults.not_finite
+    bad = advice.survey.data_errors.not_finite
     if not bad:
         return None
     return Suggestion(
@@ -81,7 +81,7 @@ def _gravity(advice: Advice) -> Suggestion | None:
 
 
 def _far(advice: Advice) -> Suggestion | None:
-    extent, spacing = advice.survey.faults.extent, advice.survey.density.spacing
+    extent, spacing = advice.survey.data_errors.extent, advice.survey.density.spacing
     try:
         check_coarseness("the data", extent, spacing, "convert their source again, which takes the origin off")
     except InputError as error:
@@ -90,12 +90,12 @@ def _far(advice: Advice) -> Suggestion | None:
 
 
 def _outside(advice: Advice) -> Suggestion | None:
-    faults = advice.survey.faults
-    if faults.outside <= OUTSIDE or _lengths(advice) is not None:
+    data_errors = advice.survey.data_errors
+    if data_errors.outside <= OUTSIDE or _lengths(advice) is not None:
         return None
     return Suggestion(
-        f"{percent(faults.outside)} of the particles lie outside their box by more than a spacing (coordinates up to "
-        f"{faults.extent:.3g} m): the scenes' boxes do not fit the positions."
+        f"{percent(data_errors.outside)} of the particles lie outside their box by more than a spacing (coordinates up "
+        f"to {data_errors.extent:.3g} m): the scenes' boxes do not fit the positions."
     )
 
 
@@ -120,7 +120,7 @@ def _statistics(advice: Advice) -> Suggestion | None:
 
 
 def _other_dt(advice: Advice) -> Suggestion | None:
-    other = advice.survey.faults.other_dt
+    other = advice.survey.data_errors.other_dt
     if not other:
         return None
     return Suggestion(
@@ -137,7 +137,7 @@ def _obstacles(advice: Advice) -> Suggestion | None:
     )
 
 
-FAULTS: tuple[Rule, ...] = (
+DATA_ERRORS: tuple[Rule, ...] = (
     _finite,
     _far,
     _lengths,

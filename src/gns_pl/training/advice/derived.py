@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gns_pl.data.findings import Survey
+from gns_pl.data.survey_record import Survey
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.perturbation import Perturbation

@@ -51,7 +51,7 @@ def split_mix(key: Tensor, place: Tensor) -> Tensor:
     return _mixed(key + (place + 1) * _STRIDE)
 
 
-class Draws:
+class WindowRandom:
     """The random numbers of a batch of B windows with N particles in all.
 
     Each window has its own, which depend on the seed, its number and the purpose alone. So a batch may be spread over

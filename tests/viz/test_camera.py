@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.scene import Box, Plane, Wall
-from gns_pl.viz.stage import (
+from gns_pl.viz.camera import (
     KINEMATIC_GREY,
     camera_of,
     collapse_time,

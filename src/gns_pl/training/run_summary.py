@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,9 @@ from gns_pl.io.atomic import write_atomically
 from gns_pl.text import without_nan
 from gns_pl.training.checkpoints import LAST, BestCheckpoint, best_checkpoint
 from gns_pl.training.clock import Clock
-from gns_pl.training.history import Floats, History, read_history
+from gns_pl.training.history import PREFIX, Floats, History, read_history
+from gns_pl.training.learning import LearningModule
 from gns_pl.training.loggers import log_image
-from gns_pl.training.module import SimulatorModule
 from gns_pl.training.progress import validation_values
 from gns_pl.training.summary import FORMAT, FORMAT_VERSION, SUMMARY_FILE, headline, summary_lines
 from gns_pl.training.validation import MONITORED
@@ -28,7 +29,13 @@ from gns_pl.viz import missing_packages, plot_learning_curve
 CURVE_FILE = "learning_curve.png"
 
 
-def close_run(output: Path, trainer: Trainer, module: SimulatorModule, datamodule: TrajectoryDataModule) -> None:
+def close_run(
+    output: Path,
+    trainer: Trainer,
+    module: LearningModule,
+    datamodule: TrajectoryDataModule,
+    exported: Sequence[Path] = (),
+) -> None:
     """Write summary.json and learning_curve.png into the run's folder, log the figure, and print the summary.
 
     It is called however the fit ended, and does nothing if that was before the first step.
@@ -38,6 +45,7 @@ def close_run(output: Path, trainer: Trainer, module: SimulatorModule, datamodul
         trainer: after the fit.
         module: what was trained.
         datamodule: what it was trained on.
+        exported: what was made of the best checkpoint, and is used in its place.
     """
     if not trainer.is_global_zero or trainer.global_step == 0:
         return
@@ -46,6 +54,8 @@ def close_run(output: Path, trainer: Trainer, module: SimulatorModule, datamodul
             logger.save()
     history = read_history(output)
     summary = summarise_run(history, output=output, trainer=trainer, module=module, datamodule=datamodule)
+    if exported:
+        summary["checkpoint"] = str(exported[0])
     content = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     write_atomically(output / SUMMARY_FILE, content.encode())
     if missing_packages():
@@ -59,13 +69,13 @@ def close_run(output: Path, trainer: Trainer, module: SimulatorModule, datamodul
 
 
 def summarise_run(
-    history: History, *, output: Path, trainer: Trainer, module: SimulatorModule, datamodule: TrajectoryDataModule
+    history: History, *, output: Path, trainer: Trainer, module: LearningModule, datamodule: TrajectoryDataModule
 ) -> dict[str, Any]:
     """Return the content of summary.json: plain values in SI units, None for what is not known.
 
     `wall_seconds` is the time of the fit with validations and checkpoints, over all starts that led here; making the
     data is not in it. Times of a step are medians of what the history holds. `best` and `final` are the validations
-    with the least position error and the last one.
+    with the least of the error that chooses the best checkpoint (`monitor`), and the last one.
 
     Args:
         history: of the run, all its starts.
@@ -74,10 +84,10 @@ def summarise_run(
         module: what was trained.
         datamodule: what it was trained on.
     """
-    settings = module.provenance["config"]
+    settings, monitor = module.provenance["config"], monitored(trainer)
     clocks = [callback for callback in trainer.callbacks if isinstance(callback, Clock)]  # type: ignore[attr-defined]
-    steps, planned = trainer.global_step, module.optimisation["num_steps"]
-    best, final = _validation(history, best_validation(history)), _validation(history, -1)
+    steps, planned = trainer.global_step, datamodule.num_steps
+    best, final = _validation(history, best_validation(history, monitor)), _validation(history, -1)
     if not history.num_starts:  # nothing was logged
         best, final = unlogged_validations(trainer)
     summary = {
@@ -103,6 +113,7 @@ def summarise_run(
         "step_seconds": _median(history.training["step_seconds"]),
         "windows_per_s": _median(history.training["windows_per_s"]),
         "rollout_step_seconds": _median(history.validation.get("rollout_step_seconds", np.empty(0))),
+        "monitor": monitor,
         "best": best,
         "final": final,
         "checkpoint": str(best_checkpoint(trainer) or output / LAST),
@@ -118,13 +129,19 @@ def unlogged_validations(trainer: Trainer) -> tuple[dict[str, float] | None, dic
         final["step"] = trainer.global_step
     for callback in trainer.callbacks:  # type: ignore[attr-defined]
         if isinstance(callback, BestCheckpoint) and callback.least is not None and callback.step is not None:
-            return {"step": callback.step, MONITORED: callback.least}, final
+            return {"step": callback.step, monitored(trainer): callback.least}, final
     return None, final
 
 
-def best_validation(history: History) -> int | None:
-    """Return the place of the validation with the least position error, None if there is none."""
-    errors = history.validation.get(MONITORED, np.empty(0))
+def monitored(trainer: Trainer) -> str:
+    """Return the name of the error by which the best checkpoint is chosen, without its prefix."""
+    callbacks = [each for each in trainer.callbacks if isinstance(each, BestCheckpoint)]  # type: ignore[attr-defined]
+    return callbacks[0].monitor.removeprefix(PREFIX) if callbacks else MONITORED
+
+
+def best_validation(history: History, monitor: str = MONITORED) -> int | None:
+    """Return the place of the validation with the least error of a name, None if there is none."""
+    errors = history.validation.get(monitor, np.empty(0))
     return int(np.nanargmin(errors)) if np.isfinite(errors).any() else None
 
 

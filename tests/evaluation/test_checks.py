@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gns_pl.evaluation.doors import default_folder, named_checkpoints
+from gns_pl.evaluation.checks import default_folder, named_checkpoints
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.models.shipped import FOLDER
 from tests.commands.in_process import call

@@ -10,10 +10,7 @@ import numpy as np
 
 from gns_pl.errors import InputError
 from gns_pl.trajectory import Trajectory
-from gns_pl.viz.colouring import Colouring, material_names
-from gns_pl.viz.plots import STYLE
-from gns_pl.viz.raster import colour_map
-from gns_pl.viz.stage import (
+from gns_pl.viz.camera import (
     COLOURINGS,
     Camera,
     Window,
@@ -25,7 +22,10 @@ from gns_pl.viz.stage import (
     limit_of,
     window_of,
 )
-from gns_pl.viz.studio import Pixels, Studio, require
+from gns_pl.viz.colouring import Colouring, material_names
+from gns_pl.viz.plots import STYLE
+from gns_pl.viz.raster import colour_map
+from gns_pl.viz.vtk_renderer import Pixels, VTKRenderer, require
 
 INCHES = 7.0
 """Width of a figure, that of a page: letters are as large as in the other figures."""
@@ -34,7 +34,7 @@ GAP, SIDE = 0.1, 0.2
 """Between pictures, and beside and below each for the lengths of its edges [inches]."""
 
 
-class Sheet:
+class Figure3D:
     """A figure with a picture per trajectory, whose scenery is drawn once and whose grains at every moment."""
 
     def __init__(
@@ -61,16 +61,16 @@ class Sheet:
         self.top = round((0.42 if any(self.trajectories) else 0.25) * self.resolution)
         height = self.top + self.rows + round((SIDE + 0.5) * self.resolution)
         self.shape = (height + height % 2, width + width % 2)  # H.264 wants even numbers
-        self.studio = Studio(window, self.camera, reference, (self.columns, self.rows), oversampling)
+        self.renderer = VTKRenderer(window, self.camera, reference, (self.columns, self.rows), oversampling)
         self.scenery = self._scenery(window)
 
-    def __enter__(self) -> Sheet:
+    def __enter__(self) -> Figure3D:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.studio.close()
+        self.renderer.close()
 
     def draw(self, time: float) -> Pixels:
         """Return the figure at a time [s] as pixels [rows, columns, 3]."""
@@ -82,9 +82,9 @@ class Sheet:
                     colours = self.materials.pixels(trajectory, frame)
                 else:
                     colours = colours_of(trajectory, frame, self.colour, self.limit)
-                picture = self.studio.picture(in_space(trajectory.position[frame]), colours, diameters)
+                picture = self.renderer.picture(in_space(trajectory.position[frame]), colours, diameters)
             else:
-                picture = self.studio.picture(np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8), np.empty(0))
+                picture = self.renderer.picture(np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8), np.empty(0))
             place = page[self.top : self.top + self.rows, left : left + self.columns]
             np.minimum(place, picture, out=place)  # ink of the scenery stays
         stamp = self._stamp(time)

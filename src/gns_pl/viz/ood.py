@@ -8,7 +8,7 @@ from pathlib import Path
 from gns_pl.viz.plots import COLOURS, STYLE, Floats
 
 
-def plot_familiarity(distances: Mapping[str, tuple[Floats, Floats, Floats]], limit: float, path: Path) -> None:
+def plot_ood(distances: Mapping[str, tuple[Floats, Floats, Floats]], limit: float, path: Path) -> None:
     """Draw the mean distance and the share of particles out of the training range over t/τc, a line for each scene.
 
     Args:

@@ -46,7 +46,7 @@ def surroundings(position: Tensor, velocity: Tensor, edge_index: Tensor, radius:
 
 
 @dataclass(frozen=True)
-class Seen:
+class TrainingDistribution:
     """A summary of the inputs of many particles in training.
 
     Attributes:
@@ -70,7 +70,7 @@ class Seen:
     source: str = ""
 
     @classmethod
-    def of(cls, features: Tensor, names: Sequence[str], source: str = "") -> Seen:
+    def of(cls, features: Tensor, names: Sequence[str], source: str = "") -> TrainingDistribution:
         """Summarise inputs.
 
         Args:
@@ -85,7 +85,7 @@ class Seen:
         covariance = scaled.T @ scaled / len(scaled) + RIDGE * torch.eye(len(mean), dtype=scaled.dtype)
         inverse = torch.linalg.inv(torch.linalg.cholesky(covariance))
         usual = torch.quantile((scaled @ inverse.T).square().mean(dim=1).sqrt(), USUAL)
-        low, high, mean, spread, inverse = (each.float() for each in (low, high, mean, spread, inverse))
+        low, high, mean, spread, inverse = (value.float() for value in (low, high, mean, spread, inverse))
         return cls(tuple(names), low, high, mean, spread, inverse, float(usual), source)
 
     def distance(self, features: Tensor) -> Tensor:
@@ -111,6 +111,6 @@ class Seen:
         return {**vars(self), "names": list(self.names)}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Seen:
+    def from_dict(cls, data: Mapping[str, Any]) -> TrainingDistribution:
         """Return what `to_dict` gave."""
         return cls(**{**data, "names": tuple(data["names"])})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from gns_pl.graph.seen import LEAST_SPREAD, QUANTILE, Seen, surroundings
+from gns_pl.graph.training_distribution import LEAST_SPREAD, QUANTILE, TrainingDistribution, surroundings
 
 
 def normal(number: int = 20_000, seed: int = 0) -> torch.Tensor:
@@ -15,14 +15,14 @@ def normal(number: int = 20_000, seed: int = 0) -> torch.Tensor:
 
 def test_one_in_a_hundred_inputs_of_training_is_farther_than_one() -> None:
     features = normal()
-    seen = Seen.of(features, ("a", "b", "c"))
+    seen = TrainingDistribution.of(features, ("a", "b", "c"))
     assert abs(float((seen.distance(features) > 1).float().mean()) - 0.01) < 1e-3
     fresh = seen.distance(normal(seed=1))
     assert abs(float((fresh > 1).float().mean()) - 0.01) < 5e-3
 
 
 def test_the_mean_is_at_no_distance_and_distance_grows_in_proportion() -> None:
-    seen = Seen.of(normal(), ("a", "b", "c"))
+    seen = TrainingDistribution.of(normal(), ("a", "b", "c"))
     centre, away = seen.mean[None], torch.tensor([[1.0, 0.2, 0.0]])
     assert float(seen.distance(centre)) < 1e-6
     once, thrice = (float(seen.distance(centre + factor * away)) for factor in (1, 3))
@@ -31,7 +31,7 @@ def test_the_mean_is_at_no_distance_and_distance_grows_in_proportion() -> None:
 
 def test_what_breaks_a_tie_is_farther_than_what_keeps_it() -> None:
     """Both features one deviation up is usual where they rise together; one up and one down is not."""
-    seen = Seen.of(normal(), ("a", "b", "c"))
+    seen = TrainingDistribution.of(normal(), ("a", "b", "c"))
     together, apart = (seen.mean + torch.tensor([2.0, sign * 0.45, 0.0]) for sign in (1, -1))
     assert float(seen.distance(apart[None])) > 3 * float(seen.distance(together[None]))
     assert not seen.outside(together[None]).any() and not seen.outside(apart[None]).any()
@@ -39,7 +39,7 @@ def test_what_breaks_a_tie_is_farther_than_what_keeps_it() -> None:
 
 def test_ranges_leave_out_few_and_what_never_varied_has_some_room() -> None:
     features = normal()
-    seen = Seen.of(features, ("a", "b", "c"))
+    seen = TrainingDistribution.of(features, ("a", "b", "c"))
     outside = seen.outside(features).float().mean(dim=0)
     assert (outside[:2] < 2.5 * QUANTILE).all() and outside[2] == 0
     assert seen.spread[2] == LEAST_SPREAD
@@ -50,14 +50,14 @@ def test_ranges_leave_out_few_and_what_never_varied_has_some_room() -> None:
 
 def test_units_of_a_feature_do_not_matter() -> None:
     features, scale = normal()[:, :2], torch.tensor([10.0, 0.4])
-    plain, scaled = Seen.of(features, ("a", "b")), Seen.of(scale * features, ("a", "b"))
+    plain, scaled = TrainingDistribution.of(features, ("a", "b")), TrainingDistribution.of(scale * features, ("a", "b"))
     some = normal(50, seed=2)[:, :2]
     torch.testing.assert_close(plain.distance(some), scaled.distance(scale * some), rtol=1e-4, atol=1e-4)
 
 
 def test_a_summary_goes_through_a_checkpoint() -> None:
-    seen = Seen.of(normal(), ("a", "b", "c"), source="hash")
-    again = Seen.from_dict(seen.to_dict())
+    seen = TrainingDistribution.of(normal(), ("a", "b", "c"), source="hash")
+    again = TrainingDistribution.from_dict(seen.to_dict())
     assert again.names == ("a", "b", "c") and again.source == "hash" and again.usual == seen.usual
     some = normal(10, seed=3)
     assert torch.equal(again.distance(some), seen.distance(some))
