@@ -28,7 +28,18 @@ ROOT = Path(__file__).parents[2]
 LOG = logging.getLogger("mkdocs.hooks.pages")
 
 NAVIGATION = {
-    "Guide": ("commands", "training", "simulate", "evaluation", "reductions", "inverse", "formats", "export", "extend"),
+    "Guide": (
+        "commands",
+        "training",
+        "simulate",
+        "evaluation",
+        "reductions",
+        "retuned",
+        "inverse",
+        "formats",
+        "export",
+        "extend",
+    ),
     "Measured": ("results", "chart", "performance", "stability", "trust", "reference"),
 }
 PROJECT = {"The trajectory file": "SCHEMA.md", "Decisions": "decisions.md"}

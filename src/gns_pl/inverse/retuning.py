@@ -104,7 +104,7 @@ def retune(
             "runs": len(runs.errors),
             "scenes": [scene.name for scene in scenes],
             "errors": {kind: _summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
-            "solver_version": solver_version(),
+            "solver_version": solver_version(goal.solver.settings),
         }
         path = out / f"{name}.yaml"
         write_retuned(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), summary)

@@ -189,7 +189,9 @@ def write_retuned(path: Path, solver: RetunedMPMSolver, fitted: Mapping[str, Any
         "range": dict(solver.fitted_range),
         "fitted": dict(fitted),
     }
-    write_atomically(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120).encode())
+    write_atomically(
+        path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120).encode()
+    )
 
 
 def range_of(scenes: Sequence[Scene]) -> dict[str, Any]:
@@ -198,7 +200,7 @@ def range_of(scenes: Sequence[Scene]) -> dict[str, Any]:
     materials = {material for scene in scenes for material in _materials(scene)}
     walls = {description for scene in scenes for description in _walls(scene)}
     return {
-        **{key: [min(each[key] for each in numbers), max(each[key] for each in numbers)] for key in SPANS},
+        **{key: [float(f"{pick(each[key] for each in numbers):.6g}") for pick in (min, max)] for key in SPANS},
         "materials": [dataclasses.asdict(material) for material in sorted(materials, key=str)],
         "walls": sorted(walls),
     }
