@@ -40,7 +40,7 @@ NAVIGATION = {
         "export",
         "extend",
     ),
-    "Measured": ("results", "chart", "performance", "stability", "trust", "reference"),
+    "Measured": ("results", "chart", "performance", "stability", "trust", "reference", "shallow"),
 }
 PROJECT = {"The trajectory file": "SCHEMA.md", "Decisions": "decisions.md"}
 BORROWED = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}

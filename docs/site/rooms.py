@@ -25,6 +25,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "io": ("stream", "lock"),
     "metrics": ("measures", "summary", "curves", "laws"),
     "mpm": ("settings",),
+    "shallow": ("solver", "particles"),
     "models": ("simulator", "geoelements", "corrector", "registry", "checkpoint", "shipped"),
     "generation": (),
     "rollout": ("gradient", "acceleration", "stabilise", "policy", "rest", "failure", "distributed"),

@@ -115,6 +115,9 @@ def test_transport_of_a_shift_is_the_shift_and_of_a_permutation_nothing() -> Non
     assert measures.sinkhorn_distance(points, points + np.array([0.3, 0, 0])) == pytest.approx(0.3, rel=0.03)
     stretched = points * [2, 1, 1]  # E (2u − u)² = 1/3
     assert measures.sinkhorn_distance(points, stretched) == pytest.approx(3**-0.5, rel=0.06)
+    grid = np.stack(np.meshgrid(np.arange(20), np.arange(5), np.arange(2), indexing="ij"), axis=-1).reshape(-1, 3)
+    for shift in ((3.0, 0, 0), (0, 3.0, 0)):  # far beyond ε, along and across a long body
+        assert measures.sinkhorn_distance(grid, grid + np.array(shift)) == pytest.approx(3.0, rel=1e-6)
 
 
 def test_energies_of_free_fall() -> None:

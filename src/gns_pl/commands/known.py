@@ -21,7 +21,15 @@ from gns_pl.text import did_you_mean
 OPEN = (
     *("data.families", "data.walls", "data.mpm", "data.material", "data.store_every", "data.every", "data.root"),
     *("model", "changes", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
-    *("evaluation.stress.variants", "evaluation.stress.sand", "choice.hybrid", "choice.mpm", "costs", "variants"),
+    *(
+        "evaluation.stress.variants",
+        "evaluation.stress.sand",
+        "choice.hybrid",
+        "choice.shallow",
+        "choice.mpm",
+        "costs",
+        "variants",
+    ),
     *("side_walls", "wall", "material", "types", "sand", "paper", "mpm", "scenes"),
 )
 """Where keys may be added, left out and be null; what reads them checks them."""

@@ -28,6 +28,7 @@ from gns_pl.solvers.hybrid import HybridSolver
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.retuned import read_retuned
+from gns_pl.solvers.shallow import ShallowSolver
 from gns_pl.solvers.solver import Solver
 from gns_pl.text import did_you_mean
 
@@ -59,7 +60,7 @@ def make_solvers(choice: Mapping[str, Any], policy: Policy | None = None) -> lis
     """Return the solvers that a configuration names (conf/choice).
 
     Args:
-        choice: {learned, corrected, hybrid, cells, mpm, retuned, others}; what is missing names none.
+        choice: {learned, corrected, hybrid, cells, mpm, retuned, shallow, others}; what is missing names none.
         policy: how learned ones are run.
 
     Raises:
@@ -84,6 +85,11 @@ def make_solvers(choice: Mapping[str, Any], policy: Policy | None = None) -> lis
     for cells in choice.get("cells", ()):
         solvers.append(MPMSolver(f"mpm_{cells:g}", float(cells), choice["mpm"]))
     solvers += map(read_retuned, choice.get("retuned", ()))
+    for name, parts in (choice.get("shallow") or {}).items():
+        if "cells" not in parts:
+            raise InputError(f"choice.shallow.{name}: needs cells, over √(L0 H0).")
+        settings = {key: value for key, value in parts.items() if key != "cells"}
+        solvers.append(ShallowSolver(name, float(parts["cells"]), settings))
     for name in choice.get("others", ()):
         solvers.append(_own(name))
     return solvers
@@ -139,7 +145,7 @@ def known_names(choice: Mapping[str, Any]) -> list[str]:
     """Return the names by which solvers can be asked for."""
     cells = [f"mpm_{cells:g}" for cells in choice.get("cells", ())]
     shipped = [*pretrained_names(), *ALIASES, *corrector_names(), *retuned_names(), *(choice.get("hybrid") or {})]
-    return list(dict.fromkeys(["mpm", *cells, *shipped, *REGISTERED]))
+    return list(dict.fromkeys(["mpm", *cells, *shipped, *(choice.get("shallow") or {}), *REGISTERED]))
 
 
 def _own(name: str) -> Solver:

@@ -6,8 +6,6 @@ the range of its data (`Policy`).
 
 from __future__ import annotations
 
-import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -16,26 +14,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 
 import gns_pl
-from gns_pl.data.places import check_reach
 from gns_pl.errors import InputError
 from gns_pl.io import file_sha256
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, move
-from gns_pl.models.geoelements import cold_start
 from gns_pl.models.shipped import find_checkpoint
-from gns_pl.rollout.distributed import barrier, processes, share_of_memory
-from gns_pl.rollout.engine import Run, check_run, rollouts, run_to_end, unroll
+from gns_pl.rollout.distributed import processes
+from gns_pl.rollout.engine import rollouts
 from gns_pl.rollout.failure import Watch
-from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.policy import Policy
-from gns_pl.rollout.progress import counting
 from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene import Scene
-from gns_pl.solvers.ood import ood_message
-from gns_pl.solvers.recording import Recording
 from gns_pl.solvers.reduction import Reduction
 from gns_pl.solvers.solver import hashed
 from gns_pl.solvers.trained import TrainedSolver
@@ -223,16 +213,7 @@ class LearnedSolver(TrainedSolver):
         with processes(self.checkpoint.simulator.device) as (rank, _):
             yield rank
 
-    def record(
-        self,
-        scenes: Sequence[Scene],
-        paths: Sequence[Path],
-        *,
-        interval: float,
-        seed: int,
-        monitor: bool,
-        rank: int = 0,
-    ) -> None:
+    def record(self, scenes: Sequence[Scene], paths: Sequence[Path], **settings: Any) -> None:
         """Run scenes together into files, every frame as soon as it is made; arguments as those of `Solver.record`.
 
         A file that is there, finished or broken off, is gone on with from its last frame; the result is then the one of
@@ -242,84 +223,6 @@ class LearnedSolver(TrainedSolver):
             InputError: as `Solver.record`.
             StorageError: likewise; the frames written stay.
         """
-        reductions = [self.reduced(scene) for scene in scenes]
-        recordings = []
-        for scene, path, reduction in zip(scenes, paths, reductions, strict=True):
-            start = self.start(reduction.scene, seed, {**self.facts(scene), "seed": seed})
-            steps = self.num_steps(reduction.scene)
-            recordings.append(Recording.of(path, start, reduction, steps, history=self.stepper.history_length))
-        runs = [Run(recording.start, recording.num_steps, recording.past, recording.made) for recording in recordings]
-        for run in runs:
-            check_run(run, self.stepper.config)
-            check_reach(run.start, self.stepper.config.connectivity_radius)
-        barrier()  # all processes have seen the files as they were
-        left = [(recording, run) for recording, run in zip(recordings, runs, strict=True) if not recording.is_done]
-        watches = [self._watch(run) if monitor else None for _, run in left]
-        if rank:
-            with torch.inference_mode():
-                deque(
-                    unroll(self.stepper, [run for _, run in left], rest=self.policy.rest(), watches=watches), maxlen=0
-                )
-            return
-        if left:
-            self._write([recording for recording, _ in left], [run for _, run in left], watches)
-        for recording in recordings:
-            if recording.is_done:
-                print(f"{recording.path}: {f'complete {recording.ended}' if recording.ended else 'already complete'}")
+        from gns_pl.solvers.learned_files import record
 
-    def _watch(self, run: Run) -> Watch:
-        before = None if run.past is None else run.past[-1]
-        return Watch(run.start, self.interval, before=before, made=run.made, every=self.policy.every)
-
-    def _write(self, recordings: Sequence[Recording], runs: Sequence[Run], watches: Sequence[Watch | None]) -> None:
-        """Make the steps of all runs together and close every file when its scene is done."""
-        stepper, dt = self.stepper, self.interval
-        for recording in recordings:
-            if recording.reduction.description:
-                print(f"{recording.start.scene.name}: {recording.reduction.description}")
-        if notice := cold_start(stepper.config, self.provenance):
-            print(notice)
-        needs = check_memory(stepper, list(runs), share=share_of_memory(stepper.device))
-        total = max(run.num_steps for run in runs)
-        label = ", ".join(run.start.scene.name for run in runs)
-        known = (
-            " after " + ", ".join(f"{run.made * dt:g} s" for run in runs) if any(r.source for r in recordings) else ""
-        )
-        print(f"{label}: {total} steps of {dt:g} s{known}; {needs}", flush=True)
-        for recording in recordings:
-            recording.open()
-        how = {"device": str(stepper.device), "num_threads": torch.get_num_threads()}
-        frames = dict.fromkeys(range(len(runs)), 0)
-
-        def on_frame(number: int, position: NDArray[np.float32]) -> None:
-            frames[number] += 1
-            recordings[number].append(position)
-
-        def on_end(number: int, ending: dict[str, object]) -> None:
-            if "at_rest_from" in ending and not self.policy.rest_speed:
-                recordings[number].fill(runs[number].num_steps - frames[number])
-            text = recordings[number].finish({**how, **ending})
-            print(f"{recordings[number].path}: {text}", flush=True)
-
-        began = time.perf_counter()
-        try:
-            with counting(label, dt) as show:
-                steps = run_to_end(
-                    stepper,
-                    runs,
-                    rest=self.policy.rest(),
-                    watches=watches,
-                    on_frame=on_frame,
-                    on_end=on_end,
-                    on_step=show,
-                )
-        finally:
-            for recording in recordings:
-                recording.close()
-        seconds = time.perf_counter() - began
-        print(
-            f"{steps} steps in {seconds:.1f} s: {steps / seconds:.3g} steps/s, {steps * dt / seconds:.3g} simulated s/s"
-        )
-        for recording in recordings:
-            if message := ood_message(self.checkpoint, recording.path, recording.reduction):
-                print(f"{recording.path}: {message}; verify it with MPM.")
+        record(self, scenes, paths, **settings)

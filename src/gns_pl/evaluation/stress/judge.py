@@ -157,12 +157,12 @@ def _learned(
     from gns_pl.evaluation.stress.runs import Subject
     from gns_pl.io import file_sha256
     from gns_pl.models.checkpoint import load_checkpoint, move
-    from gns_pl.rollout.stabilise import stabilise as stabilised
+    from gns_pl.rollout.policy import Policy
 
     for name, path in checkpoints.items():
         checkpoint = load_checkpoint(path)
         move(checkpoint, device, "evaluation.stress.device")
-        stepper = stabilised(checkpoint.simulator, **stabilise)
+        stepper = Policy(stabilise).stepper(checkpoint)
         identity = _identity(file_sha256(path), dict(stabilise), seed)
         dt = checkpoint.simulator.config.dt
         settings = ", ".join(f"{key} {value:g}" for key, value in stabilise.items() if value) or "nothing"

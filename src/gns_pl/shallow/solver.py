@@ -1,0 +1,183 @@
+"""`simulate`: a scene's layer, from frame to frame, as a trajectory of particles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gns_pl
+from gns_pl.errors import InputError
+from gns_pl.fields import MATERIAL_FEATURES, ParticleType
+from gns_pl.scene import Scene
+from gns_pl.shallow.config import NUM_PARTICLES, ShallowConfig
+from gns_pl.shallow.plan import (
+    Floats,
+    Grid,
+    Ground,
+    make_grid,
+    make_ground,
+    make_layer,
+    unsupported_reason,
+    with_bodies,
+)
+from gns_pl.trajectory import Trajectory
+
+
+class Layer:
+    """A layer on a grid that goes on from time to time.
+
+    Args:
+        grid: its cells.
+        ground: what it flows over.
+        thickness: at the start [C] [m].
+        momentum: thickness times velocity, along x and y [2, C] [m²/s].
+        rain: thickness that falls onto every cell [C] [m]; None for none.
+        fall: gravity of the fall [m/s²].
+        courant: Courant number.
+
+    Attributes:
+        time: reached [s].
+        num_steps: taken.
+        at_rest: True once nothing will ever move again.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        ground: Ground,
+        thickness: Floats,
+        momentum: Floats,
+        *,
+        rain: Floats | None = None,
+        fall: float = 9.81,
+        courant: float = 0.45,
+    ) -> None:
+        self.grid, self.ground, self.courant, self.fall = grid, ground, courant, fall
+        self.thickness = np.array(thickness, dtype=np.float64)
+        self.momentum = np.array(momentum, dtype=np.float64)
+        self.rain = np.zeros_like(self.thickness) if rain is None else rain
+        self.time, self.num_steps, self.at_rest = 0.0, 0, False
+
+    @property
+    def falling(self) -> Floats:
+        """Thickness that has not come down yet [C] [m]."""
+        return np.maximum(self.rain - 0.5 * self.fall * self.time**2, 0.0)
+
+    def advance(self, end: float) -> None:
+        """Go on to a time [s].
+
+        Raises:
+            FloatingPointError: a thickness became negative or not finite, however short the step.
+        """
+        from gns_pl.shallow.stepping import advance
+
+        if not self.at_rest:
+            state = (self.thickness, *self.momentum)
+            ground = (self.ground.bed, self.ground.gravity, self.ground.friction)
+            settings = (self.rain, self.fall, self.grid.shape, self.grid.sizes, self.courant, self.time, end)
+            steps, self.at_rest = advance(state, ground, *settings)
+            if steps < 0:
+                raise FloatingPointError(f"shallow: the layer failed between {self.time:.4g} and {end:.4g} s.")
+            self.num_steps += steps
+        self.time = end
+
+
+def make_start(scene: Scene, config: ShallowConfig) -> Layer:
+    """Return a scene's layer at the start.
+
+    Raises:
+        InputError: a scene that cannot be run; the sentence says why.
+    """
+    reason = unsupported_reason(scene)
+    if reason is not None:
+        raise InputError(f"scene {scene.name!r}: {reason}")
+    grid = make_grid(scene, config.cell_size)
+    ground = make_ground(scene, grid, config)
+    thickness, *momentum, rain = make_layer(scene, grid, ground.height, config.rain)
+    if not thickness.sum() + rain.sum() > 0:
+        raise InputError(f"scene {scene.name!r}: obstacles leave nothing of its bodies; move them.")
+    fall = -scene.gravity[-1]
+    return Layer(grid, ground, thickness, np.array(momentum), rain=rain, fall=fall, courant=config.courant)
+
+
+def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed: int = 0) -> Trajectory:
+    """Run `scene` from its start over its duration; the same arguments give the same bits on the same machine.
+
+    Args:
+        scene: what to simulate, in two or three dimensions.
+        config: how.
+        frame_interval: time between the frames kept [s].
+        seed: of the shift of the particles that show the layer; the flow does not depend on it.
+
+    Returns:
+        round(duration / frame_interval) + 1 frames of particles of equal volume.
+
+    Raises:
+        InputError: a scene that cannot be run, or a frame interval that is not positive.
+    """
+    from gns_pl.shallow.particles import hammersley, place
+
+    if not (math.isfinite(frame_interval) and frame_interval > 0):
+        raise InputError(f"shallow: frame_interval must be a positive number, not {frame_interval}.")
+    layer = make_start(scene, config)
+    grid, height = layer.grid, layer.ground.height
+    number = config.num_particles or NUM_PARTICLES[scene.dim]
+    standing = layer.thickness.copy()
+    num_frames = round(scene.duration / frame_interval) + 1
+    axes = [0, 2] if scene.dim == 2 else [0, 1, 2]
+    frames = np.empty((num_frames, number, scene.dim), dtype=np.float32)
+    shares, position = hammersley(number, seed), np.empty((number, 3))
+    # At the start bodies end where they do and not where cells do; fronts are measured from there.
+    exact = with_bodies(scene, grid)
+    ground = height[grid.parents(exact)]
+    start, _, _, rain = make_layer(scene, exact, ground, config.rain)
+    place(shares, start, rain, start, ground, *exact.edges, position)
+    frames[0] = position[:, axes]
+    body = nearest_body(scene, position[:, axes])
+    for frame in range(1, num_frames):
+        if layer.at_rest:
+            frames[frame] = frames[frame - 1]
+            continue
+        layer.advance(frame * frame_interval)
+        place(shares, layer.thickness, layer.falling, standing, height, *grid.edges, position)
+        frames[frame] = position[:, axes]
+    volume = float((layer.thickness + layer.falling).sum()) * grid.sizes[0] * grid.sizes[1]
+    materials = [scene.materials[each.material] for each in scene.bodies]
+    features = np.array([[getattr(material, name) for name in MATERIAL_FEATURES] for material in materials])
+    return Trajectory(
+        position=frames,
+        particle_type=np.full(number, int(ParticleType.SAND)),
+        material=features[body].astype(np.float32),
+        material_features=MATERIAL_FEATURES,
+        mass=np.full(number, volume / number * materials[0].density, dtype=np.float32),
+        initial_velocity=np.array([each.velocity for each in scene.bodies], dtype=np.float32)[body],
+        dt=frame_interval,
+        scene=scene,
+        provenance=provenance(config, layer, seed),
+    )
+
+
+def provenance(config: ShallowConfig, layer: Layer, seed: int) -> dict[str, object]:
+    """Return what a trajectory says about its making."""
+    return {
+        "solver": "gns_pl.shallow",
+        "version": gns_pl.__version__,
+        "config": asdict(config),
+        "seed": seed,
+        "num_steps": layer.num_steps,
+        "cell": list(layer.grid.sizes),
+        "at_rest": layer.at_rest,
+    }
+
+
+def nearest_body(scene: Scene, position: NDArray[Any]) -> NDArray[np.int64]:
+    """Return in, or nearest to, which body every particle starts [N]."""
+    distance = [
+        np.linalg.norm(np.maximum(np.maximum(body.position - position, position - np.array(body.upper)), 0.0), axis=1)
+        for body in scene.bodies
+    ]
+    return np.asarray(np.argmin(distance, axis=0))
