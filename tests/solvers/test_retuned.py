@@ -12,13 +12,15 @@ import pytest
 import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
+from gns_pl.io.tables import write_table
 from gns_pl.models.shipped import FOLDER, retuned_names
 from gns_pl.scene import FACES, Body, Box, Scene, Wall
 from gns_pl.solvers import recording
 from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.retuned import Factors, RetunedMPMSolver, range_of, read_retuned, write_retuned
-from gns_pl.solvers.simulate import simulate
-from tests.solvers.test_selection import MPM, ROUGH, column
+from gns_pl.solvers.selection import Record
+from gns_pl.solvers.simulate import simulate, simulate_by_choice
+from tests.solvers.test_selection import MPM, ROUGH, column, record
 
 FACTORS = Factors(wall_friction=0.8, internal_friction=0.9, cohesion=0.5, damping_rate=0.25)
 
@@ -117,6 +119,27 @@ def test_what_is_outside_the_fitted_range_is_told() -> None:
     for reason, scene in reasons.items():
         with pytest.raises(AssertionError, match=reason):
             assert solver.out_of_range_reason(scene) is None, solver.out_of_range_reason(scene)
+
+
+def test_a_tolerance_chooses_it_within_its_range_once_it_was_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Outside it the next MPM is taken; and its factors are not checked on cells for which they were not fitted."""
+    rough = column(sides=ROUGH)
+    write_retuned(tmp_path / "mine.yaml", retuned(fitted_range=range_of([rough])), {})
+    table = [record("mine", kind, 0.05, 1.0) for kind in ("space", "plane")]
+    write_table(tmp_path / "records.csv", Record, [*table, *(record("mpm_8", r.kind, 0.04, 9.0) for r in table)])
+    choice = {"retuned": [str(tmp_path / "mine.yaml")], "cells": [8], "mpm": MPM, "frame_interval": 0.05}
+    choice["records"] = str(tmp_path / "records.csv")
+    how = {"choice": choice, "tolerance": 0.06, "check": True}
+    (path,) = simulate_by_choice([rough], out=tmp_path / "space", **how)  # type: ignore[arg-type]
+    assert read_trajectory(path).provenance["solver"] == "mine"
+    out = capsys.readouterr().out
+    assert "chosen: mine" in out and "check: mine has no cells of its own to compare" in out
+    assert not list(tmp_path.rglob("*.coarser.h5"))
+    (path,) = simulate_by_choice([column()], out=tmp_path / "plane", **how)  # type: ignore[arg-type]
+    assert read_trajectory(path).provenance["solver"] == "mpm_8"
+    assert "mine                     not: fitted with other walls" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", retuned_names())
