@@ -37,7 +37,10 @@ from gns_pl.io import file_sha256
 from gns_pl.machine import machine_name
 from gns_pl.metrics.summary import Measured
 from gns_pl.models.shipped import ALIASES, FOLDER, find_checkpoint, find_corrector
-from gns_pl.solvers.learned import CorrectedSolver, LearnedSolver, TrainedSolver
+from gns_pl.rollout.policy import Policy
+from gns_pl.solvers.corrected import CorrectedSolver
+from gns_pl.solvers.learned import LearnedSolver
+from gns_pl.solvers.trained import TrainedSolver
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results.csv"
@@ -97,17 +100,17 @@ def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
     rows: list[Row] = []
     for model in MODELS:
         trained = file_of(model)
-        way: TrainedSolver
+        solver: TrainedSolver
         for split, named in (("test", "columns"), ("validation", "validation")):
             config = settings(named)
             evaluation = config["evaluation"]
             if trained.suffix == ".corrector":
-                way = CorrectedSolver(model, trained)
+                solver = CorrectedSolver(model, trained)
             else:
-                way = LearnedSolver(model, trained, stabilise=config["stabilise"])
+                solver = LearnedSolver(model, trained, Policy(config["stabilise"]))
             scenes = build_scenes(
                 evaluation["columns"], None, only=None, domain=evaluation["domain"],
-                duration=evaluation["duration"], interval=way.interval, data=way.data,
+                duration=evaluation["duration"], interval=solver.interval, data=solver.data,
             )  # fmt: skip
             seeds = range(evaluation["seed"], evaluation["seed"] + evaluation["placements"])
             for scene in scenes.values():
@@ -117,22 +120,22 @@ def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
                 )
                 if row is None:
                     whole = reference_trajectory(
-                        scene, way.data["mpm"], frame_interval=way.interval, seed=seeds[0], cache_directory=cache
+                        scene, solver.data["mpm"], frame_interval=solver.interval, seed=seeds[0], cache_directory=cache
                     )
-                    row = judge(model, file_sha256(trained), way, Measured(whole), seeds, split)
+                    row = judge(model, file_sha256(trained), solver, Measured(whole), seeds, split)
                 rows.append(row)
                 write(RESULTS, rows)
                 print(row)
     return rows
 
 
-def judge(model: str, sha256: str, way: TrainedSolver, whole: Measured, seeds: Sequence[int], split: str) -> Row:
+def judge(model: str, sha256: str, solver: TrainedSolver, whole: Measured, seeds: Sequence[int], split: str) -> Row:
     """Run a model on a column from all placements."""
     scene, runs, seconds = whole.trajectory.scene, [], []
-    way.run(scene, interval=way.interval, seed=seeds[0])  # what is compiled at first use is not timed
+    solver.run(scene, interval=solver.interval, seed=seeds[0])  # what is compiled at first use is not timed
     for seed in seeds:
         began = time.process_time()
-        runs.append(way.run(scene, interval=way.interval, seed=seed))
+        runs.append(solver.run(scene, interval=solver.interval, seed=seed))
         seconds.append(time.process_time() - began)
     placed = Placements.of(runs, whole)
     runout, mean, std = placed.values["runout_99_error"], placed.over(np.mean), placed.over(np.std)

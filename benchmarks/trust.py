@@ -152,7 +152,7 @@ class Row:
         early: largest mean distance up to τc.
         far: largest 99 % distance up to τc.
         share: largest share of particles beyond 1 up to τc.
-        scene_beyond: 1 if `training_range.beyond` has anything to say.
+        scene_beyond: 1 if `training_range.out_of_range` yields anything.
         members: width of the band of several trainings, as the error is.
         placements: the same of several placements.
         left: time at which the run left the training range [τc]; NaN if never.
@@ -221,7 +221,7 @@ def judge(number: int, trial: Trial, checkpoint: Checkpoint, members: list[Check
         runout_error=error(float(ours["runout_99"][-1] - reference[-1]) / scale),
         height_error=error(float(ours["mean_height"][-1] / theirs["mean_height"][-1] - 1)),
         position_error=error(float(away[-1])),
-        start=float(seen.mean[0]), early=seen.early(tau), far=float(seen.far[early].max()),
+        start=float(seen.mean[0]), early=seen.early_score(tau), far=float(seen.far[early].max()),
         share=float(seen.share[early].max()), scene_beyond=int(bool(seen.reasons)),
         members=ensemble_bands([own, *(each.simulator for each in members)], [start], duration=duration).width / scale,
         placements=ensemble_bands([own], [start, *others], duration=duration).width / scale,

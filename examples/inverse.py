@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from inverse_page import WAYS, read_text, write_figure, write_page
+from inverse_page import METHODS, read_text, write_figure, write_page
 
 from gns_pl.inverse import Bounds, ByDifferences, ByGradient, Fit, Problem, adam, deposit_thickness, lbfgs, solve
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
@@ -76,7 +76,7 @@ def truths(number: int) -> list[tuple[float, float]]:
 def fits(
     checkpoint: Checkpoint, number: int, truth: tuple[float, float], only: Sequence[str]
 ) -> Iterator[dict[str, Any]]:
-    """Yield a row for each of the ways `only` to the unknowns of a truth."""
+    """Yield a row for each of the methods `only` of finding a truth's unknowns."""
     data = checkpoint.data
     observed = deposit_of_mpm(data, np.array(truth), FINE, seed=1000 + number)
     problem = problem_of(checkpoint, observed)
@@ -91,33 +91,33 @@ def fits(
     def mpm(cell: float) -> Callable[[np.ndarray], torch.Tensor]:
         return lambda unknowns: deposit_of_mpm(data, unknowns, cell, seed=0)
 
-    def down(way: ByGradient | ByDifferences) -> tuple[Fit, int]:
-        return lbfgs(way, GUESS, BOUNDS, tolerance=1e-3, most=40), way.num_rollouts
+    def descended(slope: ByGradient | ByDifferences) -> tuple[Fit, int]:
+        return lbfgs(slope, GUESS, BOUNDS, tolerance=1e-3, most=40), slope.num_rollouts
 
     def solved(deposit: Callable[[np.ndarray], torch.Tensor]) -> tuple[Fit, int]:
         deposit(np.array(GUESS))  # what is compiled is compiled
         fit = solve(lambda x: ((deposit(x) - observed) / observed.norm()).numpy(), GUESS, BOUNDS, **SOLVE)
         return fit, fit.evaluations
 
-    ways: dict[str, Callable[[], tuple[Fit, int]]] = {
-        "gradient": lambda: down(ByGradient(problem)),
+    methods: dict[str, Callable[[], tuple[Fit, int]]] = {
+        "gradient": lambda: descended(ByGradient(problem)),
         "gradient, Adam": lambda: (adam(ByGradient(problem), GUESS, BOUNDS, most=WALK, pace=0.08), WALK),
-        "differences": lambda: down(ByDifferences(problem, DIFFERENCES)),
+        "differences": lambda: descended(ByDifferences(problem, DIFFERENCES)),
         "least squares": lambda: solved(learned),
         "MPM 1/24 m": lambda: solved(mpm(COARSE)),
         "MPM 1/36 m": lambda: solved(mpm(MIDDLE)),
         "MPM 1/48 m": lambda: solved(mpm(FINE)),
-        "gradient, twin": lambda: down(ByGradient(twin)),
+        "gradient, twin": lambda: descended(ByGradient(twin)),
     }
     for name in only:
-        yield row(number, truth, name, *ways[name]())
+        yield row(number, truth, name, *methods[name]())
 
 
-def row(number: int, truth: tuple[float, float], way: str, fit: Fit, rollouts: int) -> dict[str, Any]:
+def row(number: int, truth: tuple[float, float], method: str, fit: Fit, rollouts: int) -> dict[str, Any]:
     """Return what stands in docs/inverse.csv of one fit."""
     angle, found = (math.degrees(math.atan(each[0])) for each in (truth, fit.unknowns))
     return {
-        "truth": number, "way": way, "angle_deg": f"{angle:.2f}", "speed": f"{truth[1]:.3f}",
+        "truth": number, "method": method, "angle_deg": f"{angle:.2f}", "speed": f"{truth[1]:.3f}",
         "found_angle_deg": f"{found:.2f}", "found_speed": f"{fit.unknowns[1]:.3f}", "misfit": f"{fit.misfit:.2e}",
         "evaluations": fit.evaluations, "rollouts": rollouts, "seconds": f"{fit.seconds:.1f}",
         "cpu_seconds": f"{fit.cpu_seconds:.1f}",
@@ -129,8 +129,8 @@ def agreement(problem: Problem, number: int, truth: tuple[float, float]) -> Iter
     exact = replace(problem, simulator=copy.deepcopy(problem.simulator).double())
     extent, halfway = BOUNDS.extent, (np.array(GUESS) + truth) / 2
 
-    def slope(way: Any) -> np.ndarray:
-        return np.asarray(way(halfway)[1]) * extent
+    def slope(method: Any) -> np.ndarray:
+        return np.asarray(method(halfway)[1]) * extent
 
     for steps in HORIZONS:
         short, short_exact = replace(problem, num_steps=steps), replace(exact, num_steps=steps)
@@ -164,21 +164,23 @@ def main() -> None:
     parser.add_argument("--truths", type=int, default=6, help="hidden truths")
     parser.add_argument("--out", type=Path, default=Path("docs"))
     parser.add_argument("--from-table", action="store_true", help="page and figure from the tables alone")
-    parser.add_argument("--only", nargs="*", choices=[*WAYS, "slopes"], help="these anew, the others as in the tables")
+    parser.add_argument(
+        "--only", nargs="*", choices=[*METHODS, "slopes"], help="these anew, the others as in the tables"
+    )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     if not given.from_table:
         checkpoint = load_checkpoint(given.ckpt)
         hidden = list(enumerate(truths(given.truths)))
-        only = [*WAYS, "slopes"] if given.only is None else given.only
+        only = [*METHODS, "slopes"] if given.only is None else given.only
         table = given.out / "inverse.csv"
-        found = [each for each in read_text(table) if each["way"] not in only] if given.only is not None else []
+        found = [each for each in read_text(table) if each["method"] not in only] if given.only is not None else []
         for number, truth in hidden:
-            for each in fits(checkpoint, number, truth, [way for way in WAYS if way in only]):
+            for each in fits(checkpoint, number, truth, [method for method in METHODS if method in only]):
                 print(each, flush=True)
                 found.append(each)
-        write_rows(table, sorted(found, key=lambda each: (int(each["truth"]), list(WAYS).index(each["way"]))))
+        write_rows(table, sorted(found, key=lambda each: (int(each["truth"]), list(METHODS).index(each["method"]))))
         slopes = []
         for number, truth in hidden if "slopes" in only else []:
             observed = deposit_of_mpm(checkpoint.data, np.array(truth), FINE, seed=1000 + number)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-WAYS = {
+METHODS = {
     "gradient": "learned simulator, gradient through the rollout, L-BFGS-B",
     "gradient, Adam": "the same, Adam, 40 steps",
     "differences": "learned simulator, central differences, five rollouts stepped together, L-BFGS-B",
@@ -30,19 +30,19 @@ def read_text(path: Path) -> list[dict[str, str]]:
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """Return a table's rows, numbers as such."""
-    return [{key: text if key == "way" else float(text) for key, text in row.items()} for row in read_text(path)]
+    return [{key: text if key == "method" else float(text) for key, text in row.items()} for row in read_text(path)]
 
 
-def errors(rows: list[dict[str, Any]], way: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much a way is off in φ [degrees] and in u [m/s], of every truth."""
-    chosen = [row for row in rows if row["way"] == way]
+def errors(rows: list[dict[str, Any]], method: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much a method is off in φ [degrees] and in u [m/s], of every truth."""
+    chosen = [row for row in rows if row["method"] == method]
     angle = np.array([row["found_angle_deg"] - row["angle_deg"] for row in chosen])
     return angle, np.array([row["found_speed"] - row["speed"] for row in chosen])
 
 
-def mean(rows: list[dict[str, Any]], way: str, key: str) -> float:
-    """Return the mean of a column over the truths of a way."""
-    return float(np.mean([row[key] for row in rows if row["way"] == way]))
+def mean(rows: list[dict[str, Any]], method: str, key: str) -> float:
+    """Return the mean of a column over the truths of a method."""
+    return float(np.mean([row[key] for row in rows if row["method"] == method]))
 
 
 def write_figure(folder: Path) -> None:
@@ -54,9 +54,9 @@ def write_figure(folder: Path) -> None:
 
     rows, slopes = read_rows(folder / "inverse.csv"), read_rows(folder / "inverse_gradients.csv")
     figure, (angle, speed, slope) = plt.subplots(1, 3, figsize=(12, 3.9), layout="constrained")
-    for way, marker in zip(WAYS, "ov+xsD^.", strict=True):
-        chosen = [row for row in rows if row["way"] == way]
-        kwargs = {"marker": marker, "ls": "", "label": way, "alpha": 0.8}
+    for method, marker in zip(METHODS, "ov+xsD^.", strict=True):
+        chosen = [row for row in rows if row["method"] == method]
+        kwargs = {"marker": marker, "ls": "", "label": method, "alpha": 0.8}
         angle.plot([r["angle_deg"] for r in chosen], [r["found_angle_deg"] for r in chosen], **kwargs)
         speed.plot([r["speed"] for r in chosen], [r["found_speed"] for r in chosen], **kwargs)
     for axes, title, ends in ((angle, "friction angle [°]", (20, 45)), (speed, "initial velocity [m/s]", (0, 1.4))):
@@ -95,7 +95,7 @@ along the floor after 1.2 s, smeared by 5 cm, as fine MPM (cells of 1/48 m) leav
 Σ (h − h_obs)² / Σ h_obs². All begin at φ = 32.5°, u = 0 and know the bounds, 20° to 45° and ± 1.5 m/s. The
 learned simulator is `friction_plane`: 100 particles, 60 steps. Errors are those of φ [°] and u [m/s], over the draws.
 
-| way | φ, absolute | φ, mean | φ, largest | u, absolute | misfit | runs | seconds | seconds of a core |
+| method | φ, absolute | φ, mean | φ, largest | u, absolute | misfit | runs | seconds | seconds of a core |
 |---|---|---|---|---|---|---|---|---|
 """
 
@@ -123,11 +123,13 @@ def write_page(folder: Path) -> None:
     """Write docs/inverse.md."""
     rows, slopes = read_rows(folder / "inverse.csv"), read_rows(folder / "inverse_gradients.csv")
     page = INTRODUCTION.format(number=len({row["truth"] for row in rows}))
-    for way, text in WAYS.items():
-        angle, speed = errors(rows, way)
+    for method, text in METHODS.items():
+        angle, speed = errors(rows, method)
         page += f"| {text} | {np.abs(angle).mean():.1f} | {angle.mean():+.1f} | {np.abs(angle).max():.1f} "
-        page += f"| {np.abs(speed).mean():.3f} | {mean(rows, way, 'misfit'):.1e} | {mean(rows, way, 'rollouts'):.0f} "
-        page += f"| {mean(rows, way, 'seconds'):.0f} | {mean(rows, way, 'cpu_seconds'):.1f} |\n"
+        page += (
+            f"| {np.abs(speed).mean():.3f} | {mean(rows, method, 'misfit'):.1e} | {mean(rows, method, 'rollouts'):.0f} "
+        )
+        page += f"| {mean(rows, method, 'seconds'):.0f} | {mean(rows, method, 'cpu_seconds'):.1f} |\n"
     page += BETWEEN + verdict(rows, slopes) + HORIZON.format(number=len({row["truth"] for row in slopes}))
     for steps in sorted({row["steps"] for row in slopes}):
         chosen = [row for row in slopes if row["steps"] == steps]
@@ -143,23 +145,23 @@ def write_page(folder: Path) -> None:
 def verdict(rows: list[dict[str, Any]], slopes: list[dict[str, Any]]) -> str:
     """Return what the tables say."""
     learned, by_mpm = ["gradient", "gradient, Adam", "differences", "least squares"], ["MPM 1/24 m", "MPM 1/36 m"]
-    best = min([*learned, *by_mpm], key=lambda way: float(np.abs(errors(rows, way)[0]).mean()))
-    quickest = min([*learned, *by_mpm], key=lambda way: mean(rows, way, "cpu_seconds"))
-    each = {way: mean(rows, way, "cpu_seconds") / mean(rows, way, "evaluations") for way in WAYS}
+    best = min([*learned, *by_mpm], key=lambda method: float(np.abs(errors(rows, method)[0]).mean()))
+    quickest = min([*learned, *by_mpm], key=lambda method: mean(rows, method, "cpu_seconds"))
+    each = {method: mean(rows, method, "cpu_seconds") / mean(rows, method, "evaluations") for method in METHODS}
     forward = each["least squares"]
     enough = max(1, math.ceil((each["gradient"] / forward - 1) / 2))
     last = [row for row in slopes if row["steps"] == max(other["steps"] for other in slopes)]
     after, narrow = last[0]["steps"], max(row["to_narrow"] for row in last)
     same = sum(row["friction_same_sign"] for row in last)
-    reached = [np.array([row["misfit"] for row in rows if row["way"] == way]) for way in learned]
+    reached = [np.array([row["misfit"] for row in rows if row["method"] == method]) for method in learned]
     stalled = int((reached[0] > 1.1 * np.min(reached[1:], axis=0)).sum())
-    twin, off = (np.abs(errors(rows, way)[0]) for way in ("gradient, twin", "gradient"))
-    lowest = min(learned, key=lambda way: mean(rows, way, "misfit"))
+    twin, off = (np.abs(errors(rows, method)[0]) for method in ("gradient, twin", "gradient"))
+    lowest = min(learned, key=lambda method: mean(rows, method, "misfit"))
     still = np.abs(errors(rows, lowest)[0]).mean()
-    quick = np.array([row["speed"] for row in rows if row["way"] == "gradient"]) > 0.8
+    quick = np.array([row["speed"] for row in rows if row["method"] == "gradient"]) > 0.8
     fast, slow = (float(np.mean(off[those])) if those.any() else math.nan for those in (quick, ~quick))
     return (
-        f"- **Who wins**: of the learned simulator's ways and coarser MPM, *{best}* comes nearest in φ,\n"
+        f"- **Who wins**: of the methods with the learned simulator and coarser MPM, *{best}* comes nearest in φ,\n"
         f"  and *{quickest}* is the cheapest.\n"
         f"- **What a gradient costs**: {each['gradient']:.2f} s of a core through all steps; central differences of\n"
         f"  two unknowns, stepped together, {each['differences']:.2f} s; a rollout alone {forward:.2f} s; MPM on\n"
@@ -168,10 +170,10 @@ def verdict(rows: list[dict[str, Any]], slopes: list[dict[str, Any]]) -> str:
         f"- **It is exact to the end, and still not always a help**: after {after:.0f} steps it differs from\n"
         f"  narrow differences by {narrow:.0e} at most. But its slope in φ has the sign of the wide one in\n"
         f"  {same:.0f} of {len(last)} draws: the misfit is rough on a small scale. In {stalled} of {len(off)}\n"
-        "  draws L-BFGS-B with the gradient ended more than a tenth above the misfit that another way through the\n"
+        "  draws L-BFGS-B with the gradient ended more than a tenth above the misfit that another method with the\n"
         "  simulator reached.\n"
         f"- **Where the simulator made the deposit itself** the gradient finds φ to {np.median(twin):.2f}° in the\n"
-        f"  median and {twin.max():.1f}° at worst: that is left to the optimiser. From MPM's deposits even the way\n"
+        f"  median and {twin.max():.1f}° at worst: that is left to the optimiser. From MPM's deposits even the method\n"
         f"  with the least misfit (*{lowest}*) is off by {still:.1f}°: that is the simulator's error.\n"
         f"- **The faster, the worse**: by the gradient φ is off by {slow:.1f}° where u is below 0.8 m/s, and by\n"
         f"  {fast:.1f}° above.\n"

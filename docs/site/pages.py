@@ -29,18 +29,10 @@ LOG = logging.getLogger("mkdocs.hooks.pages")
 
 NAVIGATION = {
     "Guide": (
-        "commands",
-        "training",
-        "simulate",
-        "evaluation",
-        "reductions",
-        "retuned",
-        "inverse",
-        "formats",
-        "export",
-        "extend",
+        *("quickstart", "commands", "python", "simulate", "training", "data", "evaluation"),
+        *("retuned", "inverse", "formats", "export", "extend"),
     ),
-    "Measured": ("results", "chart", "performance", "stability", "trust", "reference", "shallow"),
+    "Measured": ("results", "chart", "reductions", "stability", "trust", "performance", "reference", "shallow"),
 }
 PROJECT = {"The trajectory file": "SCHEMA.md", "Decisions": "decisions.md"}
 BORROWED = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}

@@ -67,7 +67,7 @@ class Trajectory:
             raise InputError(f"trajectory: dt must be positive, not {self.dt}.")
 
     def __repr__(self) -> str:
-        solver = self.provenance.get("solver", "not told")
+        solver = self.provenance.get("solver", "unknown")
         return (
             f"Trajectory of {self.scene.name!r}: {self.num_frames} frames of {self.num_particles:,} particles in "
             f"{self.scene.dim} dimensions, every {self.dt:g} s to {self.dt * (self.num_frames - 1):g} s\n"

@@ -128,7 +128,7 @@ WRONG = [
         "the value cannot be read; if it is meant as text, type 'seed=\"a b=c\"'",
     ),
     ("train", ("seed=null",), "seed must be a number, not null."),
-    ("train", ("+seed=1",), "seed is there already: leave out the +."),
+    ("train", ("+seed=1",), "seed exists already: leave out the +."),
     ("train", ("trainer.max_steps=a", *TINY), "lightning.pytorch.trainer.trainer.Trainer: "),
     ("train", ("+trainer.max_step=1", *TINY), "Trainer.__init__() got an unexpected keyword argument 'max_step'"),
     ("convert", ("source=x", "target=y", "lower=3"), "lower must be a list, as [a,b] or null, not 3."),

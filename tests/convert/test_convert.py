@@ -267,7 +267,7 @@ def test_a_spoilt_trajectory_leaves_nothing_behind(
 
 def test_a_target_that_is_there_is_left_alone(geoelements: Path, tmp_path: Path) -> None:
     (tmp_path / "ours").mkdir()
-    with pytest.raises(InputError, match="is there already"):
+    with pytest.raises(InputError, match="exists already"):
         converted(geoelements, tmp_path / "ours")
     with pytest.raises(InputError, match="lies in the source"):
         converted(geoelements, geoelements / "ours")

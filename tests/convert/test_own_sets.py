@@ -154,7 +154,7 @@ def test_a_folder_of_sets_names_them(tmp_path: Path) -> None:
 def test_a_report_says_what_differs(tmp_path: Path) -> None:
     flights = {"train": [a_flight(each) for each in (a_scene(), DIFFERENT["box"], DIFFERENT["gravity"])]}
     lines = inspect_source(open_set(write_ours(tmp_path / "a", flights)), Given())
-    assert "  note: trajectories differ in box, gravity; what is told here is that of the first" in lines
+    assert "  note: trajectories differ in box, gravity; what is shown here is that of the first" in lines
 
 
 def test_another_unit_and_other_axes_take_the_scene_along(tmp_path: Path) -> None:

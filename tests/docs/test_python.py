@@ -1,4 +1,4 @@
-"""The README's Python runs as it stands there, MPM on coarser cells."""
+"""The Python of the README and of docs/python.md runs as it stands there, MPM on coarser cells."""
 
 from __future__ import annotations
 
@@ -10,18 +10,31 @@ import pytest
 from gns_pl.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
-BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+PAGES = {"README.md": 1, "docs/python.md": 5}
+"""Page → blocks of Python."""
+
+
+def blocks(page: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
-def test_it_runs(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT)
+@pytest.mark.parametrize("page", PAGES)
+def test_it_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
+    monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    exec(compile(block.replace("1 / 24", "1 / 6"), "README.md", "exec"), names)
-    flow = names["flow"]
-    assert isinstance(flow, Trajectory) and flow.num_frames > 50
+    for block in blocks(page):
+        exec(compile(block.replace("1 / 24", "1 / 6"), page, "exec"), names)
+    for name in {"flow", "truth", "slope"} & set(names):
+        trajectory = names[name]
+        assert isinstance(trajectory, Trajectory) and trajectory.num_frames > 50
 
 
-def test_there_are_two_of_them() -> None:
-    assert len(BLOCKS) == 2
+def test_no_block_is_left_out() -> None:
+    assert {page: len(blocks(page)) for page in PAGES} == PAGES
+
+
+def test_python_stands_in_the_first_screen_of_a_short_readme() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 130 and lines.index("```python") < 30

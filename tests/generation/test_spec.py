@@ -326,4 +326,4 @@ def test_what_given_scenes_hold_is_within_their_range(tmp_path: Path) -> None:
     scene = plan()[0].scene
     assert list(out_of_range(scene, spec.to_dict())) == []
     body = replace(scene.bodies[0], size=tuple(0.5 * edge for edge in scene.bodies[0].size))
-    assert next(out_of_range(scene.replace(bodies=(body,)), spec.to_dict())).startswith("saw lengths from")
+    assert next(out_of_range(scene.replace(bodies=(body,)), spec.to_dict())).startswith("trained on lengths from")

@@ -29,8 +29,8 @@ def test_it_runs_and_tells(example: ModuleType, tmp_path: Path) -> None:
     checkpoint = load_checkpoint("friction_plane")
     [truth] = example.truths(1)
     page = importlib.import_module("inverse_page")
-    rows = list(example.fits(checkpoint, 0, truth, list(page.WAYS)))
-    assert [row["way"] for row in rows] == list(page.WAYS)
+    rows = list(example.fits(checkpoint, 0, truth, list(page.METHODS)))
+    assert [row["method"] for row in rows] == list(page.METHODS)
     assert all(20 <= float(row["found_angle_deg"]) <= 45 and abs(float(row["found_speed"])) <= 1.5 for row in rows)
     assert all(abs(float(row["found_speed"]) - truth[1]) < 0.3 for row in rows)  # two steps tell the velocity
     observed = example.deposit_of_mpm(checkpoint.data, truth, example.FINE, seed=1000)

@@ -144,5 +144,5 @@ def test_shipped_checkpoints_know_columns_of_theirs_and_not_those_of_the_moon(
     moon = scene.replace(gravity=(0.0, -1.62), name="moon", duration=0.2)
     paths = simulate_learned("collapse_plane", [scene.replace(duration=0.2), moon], out=tmp_path)
     printed = capsys.readouterr().out
-    assert "moon.h5: left the training range at 0 s (gravity)" in printed and "its gravity was 9.81" in printed
+    assert "moon.h5: left the training range at 0 s (gravity)" in printed and "trained at a gravity of 9.81" in printed
     assert "column.h5: left" not in printed and ood_message(checkpoint, paths[0]) is None

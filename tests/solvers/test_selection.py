@@ -88,25 +88,25 @@ def test_a_run_that_stops_being_finite_ends_there(learned: LearnedSolver) -> Non
 @pytest.mark.parametrize(
     ("scene", "reason"),
     [
-        (column(sides=ROUGH), "of plane strain, and the scene is not: wall y- is not slip"),
+        (column(sides=ROUGH), "runs plane strain only, and the scene is not: wall y- is not slip"),
         (
             column(3.0, walls=column().walls | {"z-": Wall("friction", 0.2)}),
             "trained with other walls (z-: friction 0.385, here friction 0.2)",
         ),
-        (column(3.0, gravity=(0, 0, -1.62)), "gravity was 9.81"),
+        (column(3.0, gravity=(0, 0, -1.62)), "gravity of 9.81"),
         (column(0.3), "aspect ratios from 0.5 to 3, not 0.3"),
         (column(bodies=(Body((0, 0, 0), (0.8, 0.5, 0.8), (0, 0, 0)),)), "lengths from 0.2 to 0.5 m"),
         (column(bodies=(Body((0, 0, 0), (0.3, 0.5, 0.3), (9, 0, 0)),)), "initial speeds up to 1 m/s"),
         (column(bodies=(Body((0, 0, 0.5), (0.3, 0.5, 0.3), (0, 0, 0)),)), "drops up to 0.2 m"),
         (column(obstacles=(Plane((1, 0, 0), (-1, 0, 1), ROUGH),)), "knows no obstacles"),
-        (column(materials={"sand": SAND.__class__(**{**vars(SAND), "density": 2000})}), "material was another"),
+        (column(materials={"sand": SAND.__class__(**{**vars(SAND), "density": 2000})}), "trained on another material"),
         (
             column(materials={"sand": SAND.__class__(**{**vars(SAND), "friction_angle_deg": 40})}),
-            "material was another",
+            "trained on another material",
         ),
         (
             column(bodies=(Body((0, 0, 0), (0.3, 0.5, 0.3), (0, 0, 0)), Body((1, 0, 0), (0.3, 0.5, 0.3), (0, 0, 0)))),
-            "saw single bodies",
+            "trained on single bodies",
         ),
     ],
 )
@@ -120,7 +120,7 @@ def test_the_friction_angle_may_lie_in_the_range_of_the_data(learned: LearnedSol
         tmp_path / "flat.ckpt", Checkpoint(learned.checkpoint.simulator, {**DATA, "families": families}, {})
     )
     several = LearnedSolver("flat", tmp_path / "flat.ckpt")
-    for angle, reason in ((40, None), (50, "friction angles were 20 to 45")):
+    for angle, reason in ((40, None), (50, "friction angles of 20 to 45")):
         sand = SAND.__class__(**{**vars(SAND), "friction_angle_deg": angle})
         found = several.out_of_range_reason(column(materials={"sand": sand}))
         assert found is None if reason is None else reason in str(found)
@@ -168,7 +168,7 @@ def test_the_cheapest_that_is_accurate_enough(learned: LearnedSolver) -> None:
     options = estimate(column(sides=ROUGH), solvers, records)
     chosen, why = choose(options, 0.5)
     assert chosen.solver.name == "fine" and "outside the range of every learned solver" in why
-    assert "not: is of plane strain" in table(options, column(sides=ROUGH))
+    assert "not: runs plane strain only" in table(options, column(sides=ROUGH))
     assert f"{'coarse':24} not: was not measured" in table(options, column(sides=ROUGH))
     with pytest.raises(InputError, match="tolerance must be positive"):
         choose(options, 0.0)

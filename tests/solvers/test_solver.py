@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,47 +26,37 @@ from gns_pl.solvers.recording import STATE
 from gns_pl.solvers.simulate import simulate, simulate_by_choice
 from gns_pl.solvers.solver import Solver
 from tests.conftest import make_simulator
+from tests.extend.page import blocks
 from tests.solvers.test_selection import MPM, column
-
-OWN = """
-import numpy as np
-from dataclasses import dataclass
-import gns_pl
-from gns_pl.scene import fill_scene
-from gns_pl.trajectory import start_trajectory
-
-
-@dataclass(frozen=True)
-class Sliding(gns_pl.Solver):
-    name: str = "sliding"
-
-    def run(self, scene, *, interval=None, seed=0, monitor=True):
-        particles = fill_scene(scene, 0.05, jitter=0.0, generator=np.random.default_rng(seed))
-        start = start_trajectory(scene, particles, interval or 0.05, {})
-        frames = round(scene.duration / start.dt) + 1
-        shift = np.linspace(0, 0.1, frames, dtype=np.float32)[:, None, None] * np.eye(scene.dim, dtype=np.float32)[0]
-        return gns_pl.Trajectory(**{**vars(start), "position": start.position + shift})
-"""
 
 
 @pytest.fixture
 def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "my_solver.py").write_text(OWN)
+    """A working folder with the file of docs/extend.md."""
+    (text,) = blocks("A solver")
+    (tmp_path / "own_solvers.py").write_text(text)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_solvers", raising=False)
+    importlib.invalidate_caches()
     return tmp_path
 
 
 def test_a_solver_of_ones_own_is_named_by_its_class_and_writes_files(own: Path) -> None:
     choice = {"cells": [5], "mpm": MPM, "frame_interval": 0.05}
-    (path,) = simulate_by_choice([column()], out=own / "out", choice=choice, solver="my_solver.Sliding")
+    (body,) = column().bodies
+    scene = column(bodies=(replace(body, velocity=(0.4, 0.0, 0.0)),))
+    (path,) = simulate_by_choice([scene], out=own / "out", choice=choice, solver="own_solvers.SlidingBlocks")
     trajectory = read_trajectory(path)
-    assert trajectory.provenance["solver"] == "sliding" and trajectory.num_frames == 5
-    assert trajectory.position[-1, :, 0].max() == pytest.approx(0.375, abs=1e-6)
+    assert trajectory.provenance["solver"] == "sliding_blocks" and trajectory.num_frames == 5
+    travelled = (trajectory.position - trajectory.position[0])[..., 0]
+    np.testing.assert_allclose(travelled[1], 0.4 * 0.05 - 0.4 * 9.81 * 0.05**2 / 2, atol=1e-6)
+    np.testing.assert_allclose(travelled[-1], 0.4**2 / (2 * 0.4 * 9.81), atol=1e-6)  # v²/(2 μ g), at rest
     before = path.read_bytes()
-    simulate(gns_pl.load_solver("my_solver.Sliding"), [column()], out=own / "out", interval=0.05)
+    solver = gns_pl.load_solver("own_solvers.SlidingBlocks")
+    simulate(solver, [scene], out=own / "out", interval=0.05)
     assert path.read_bytes() == before
     with pytest.raises(InputError, match="of another scene, solver or checkpoint"):
-        simulate(gns_pl.load_solver("my_solver.Sliding"), [column()], out=own / "out", interval=0.05, seed=1)
+        simulate(solver, [scene], out=own / "out", interval=0.05, seed=1)
 
 
 def test_a_registered_solver_is_chosen_by_a_tolerance_once_it_was_measured(
@@ -73,21 +65,29 @@ def test_a_registered_solver_is_chosen_by_a_tolerance_once_it_was_measured(
     from tests.solvers.test_selection import record
 
     monkeypatch.setattr(catalogue, "REGISTERED", {})
-    solver_class = type(gns_pl.load_solver("my_solver.Sliding"))
-    gns_pl.register_solver("sliding", solver_class)
-    assert isinstance(gns_pl.load_solver("sliding"), Solver)
+    solver_class = type(gns_pl.load_solver("own_solvers.SlidingBlocks"))
+    gns_pl.register_solver("sliding_blocks", solver_class)
+    assert isinstance(gns_pl.load_solver("sliding_blocks"), Solver)
     from gns_pl.io.tables import write_table
     from gns_pl.solvers.selection import Record
 
     write_table(
-        own / "records.csv", Record, [record("sliding", "plane", 0.02, 1e-3, 1.0), record("mpm_5", "plane", 0.01, 9.0)]
+        own / "records.csv",
+        Record,
+        [record("sliding_blocks", "plane", 0.02, 1e-3, 1.0), record("mpm_5", "plane", 0.01, 9.0)],
     )
-    choice = {"cells": [5], "mpm": MPM, "frame_interval": 0.05, "others": ["sliding"], "records": own / "records.csv"}
+    choice = {
+        "cells": [5],
+        "mpm": MPM,
+        "frame_interval": 0.05,
+        "others": ["sliding_blocks"],
+        "records": own / "records.csv",
+    }
     (path,) = simulate_by_choice([column()], out=own / "out", choice=choice, tolerance=0.1)
-    assert read_trajectory(path).provenance["solver"] == "sliding"
-    assert "chosen: sliding, the cheapest of 2" in capsys.readouterr().out
+    assert read_trajectory(path).provenance["solver"] == "sliding_blocks"
+    assert "chosen: sliding_blocks, the cheapest of 2" in capsys.readouterr().out
     with pytest.raises(InputError, match="runs on the CPU alone"):
-        gns_pl.load_solver("sliding", device="cuda")
+        gns_pl.load_solver("sliding_blocks", device="cuda")
 
 
 @pytest.mark.parametrize("kind", ["mpm", "halved", "corrected"])

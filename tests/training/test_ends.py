@@ -20,7 +20,7 @@ from omegaconf import DictConfig, open_dict
 from gns_pl.commands import train as train_command
 from gns_pl.errors import InputError
 from gns_pl.io import read_manifest, read_trajectory, write_manifest, write_trajectory
-from gns_pl.training import close, rollout_figure
+from gns_pl.training import rollout_figure, run_summary
 from gns_pl.training.summary import objective, read_summary
 from gns_pl.training.train import train
 from gns_pl.trajectory import Trajectory
@@ -174,8 +174,8 @@ def test_figures_and_reports_cost_no_result(
         raise RuntimeError("no fonts\nat all")
 
     monkeypatch.setattr(rollout_figure, "draw_rollout", broken)
-    monkeypatch.setattr(close, "plot_learning_curve", broken)
-    monkeypatch.setattr(close, "summary_lines", broken)
+    monkeypatch.setattr(run_summary, "plot_learning_curve", broken)
+    monkeypatch.setattr(run_summary, "summary_lines", broken)
     cfg = make_config(data_root, tmp_path)
     with open_dict(cfg):
         cfg.logger.fake = {"_target_": "tests.training.fake_logger.FakeLogger"}

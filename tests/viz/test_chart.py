@@ -22,12 +22,14 @@ def mark(number: int, group: str, **changes: object) -> Mark:
 def test_every_group_has_its_mark(tmp_path: Path) -> None:
     marks = [mark(number, group, spent=10.0 * number, on_front=number == 0) for number, group in enumerate(GROUPS)]
     marks += [mark(9, "learned", error=math.inf), mark(9, "law", seconds=1e-7), mark(9, "mpm", error=0.0, whole=True)]
+    marks += [mark(9, "of_a_user")]
     rates = {"mpm_0": ("mpm", [(2, 3.0), (1, 2.0)]), "learned_1": ("learned", [(1, 1.0)])}
     paths = [tmp_path / "chart.png", tmp_path / "chart.svg"]
     plot_chart(marks, rates, band=0.015, title="two columns", caption="Who wins. " * 60, paths=paths)
     assert all(path.stat().st_size > 20_000 for path in paths)
     drawn = paths[1].read_text()
-    assert all(f"<!-- {name} -->" in drawn for name in ("mpm_0", "law_9", "two columns")) and "learned_9" not in drawn
+    names = ("mpm_0", "law_9", "of_a_user_9", "two columns")
+    assert all(f"<!-- {name} -->" in drawn for name in names) and "learned_9" not in drawn
 
 
 @pytest.mark.parametrize("band", [0.0, 0.5])

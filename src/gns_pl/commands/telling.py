@@ -47,7 +47,7 @@ def error_message(error: Exception, arguments: Sequence[str], config: Path) -> s
         inner = getattr(error.__cause__, "full_key", None) or ""  # in a mapping that was typed
         return str(unknown_key(max(refused[1], inner, key=len), _usual(config, arguments)))
     if match := re.match(r"Could not append to config. An item is already at '(.*?)'", text):
-        return f"{match[1]} is there already: leave out the +."
+        return f"{match[1]} exists already: leave out the +."
     if match := re.match(r"You must specify '(.*?)'", text):
         return f"which {match[1]}? {match[1]}=NAME; there are {', '.join(options(config, match[1]))}."
     if match := re.match(r"Multiple values for (\S+?)\.", text):

@@ -71,7 +71,7 @@ def convert(
     facts = work_out(source, given)
     begun = _identity(source, target, to, facts, assumed, items)
     if target.exists():
-        raise InputError(f"{target}: is there already; remove it or choose another target=.")
+        raise InputError(f"{target}: exists already; remove it or choose another target=.")
     part, warning = target.with_name(f".{target.name}.converting"), None
     with _made(part, begun), _progress(len(items), str(target)) as on_done:
         if to == "gns_pl":

@@ -78,7 +78,7 @@ def _shapes(source: ForeignSet, material_value: str | None) -> list[str]:
             notes += [note for note in recording.notes if note not in notes]
     several = [name for name, values in stated.items() if len(values) > 1]
     if several and not any(note.startswith("trajectories differ") for note in source.stated.notes):
-        notes.append(f"trajectories differ in {', '.join(several)}; what is told here is that of the first")
+        notes.append(f"trajectories differ in {', '.join(several)}; what is shown here is that of the first")
     meaning = "of unknown meaning" if material_value is None else f"{MATERIAL_FEATURES[0]} by {material_value}"
     meaning = "left out" if material_value == "none" else meaning
     named = sorted({name for columns in features for name in columns})

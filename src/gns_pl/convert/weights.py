@@ -121,7 +121,7 @@ def import_weights(
     if isinstance(noise_std, bool) or not isinstance(noise_std, int | float) or not 0 <= noise_std < math.inf:
         raise InputError(f"weights.noise_std must be a number that is not negative, not {noise_std!r}.")
     if target.exists():
-        raise InputError(f"{target}: is there already; remove it or choose another target=.")
+        raise InputError(f"{target}: exists already; remove it or choose another target=.")
     weights, stated = theirs.read_weights(source), _metadata(source, metadata)
     with reading(source):
         shape = theirs.shape_of(weights)

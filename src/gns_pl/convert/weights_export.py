@@ -77,7 +77,7 @@ def export_weights(
         raise InputError(f"target={target} must be a file ending in .pt, such as model-0.pt.")
     for path in (target, target.parent / NAME):
         if path.exists():
-            raise InputError(f"{path}: is there already; remove it or choose another folder for target=.")
+            raise InputError(f"{path}: exists already; remove it or choose another folder for target=.")
     shape = theirs.Shape(
         dim=config.dim,
         num_velocities=config.input_sequence_length - 1,

@@ -35,9 +35,16 @@ class Policy:
     rest_speed: float = 0.0
     every: int = 10
 
-    def stepper(self, checkpoint: Checkpoint) -> Stepper:
-        """Return what makes the steps of a checkpoint's simulator, with other processes where there are any."""
-        return stabilise(distribute(accelerate(checkpoint.simulator, **self.acceleration)), **self.stabilise)
+    def stepper(self, checkpoint: Checkpoint, *, shared: bool = False) -> Stepper:
+        """Return what makes the steps of a checkpoint's simulator.
+
+        Args:
+            checkpoint: with the simulator.
+            shared: every step is made by all processes of the default group together. In a training, whose processes
+                validate other trajectories each, it is not.
+        """
+        stepper = accelerate(checkpoint.simulator, **self.acceleration)
+        return stabilise(distribute(stepper) if shared else stepper, **self.stabilise)
 
     def rest(self) -> Rest | None:
         """Return what ends runs, or None where nothing ends them early."""

@@ -19,6 +19,7 @@ from gns_pl.rollout.engine import Run, check_run, run_to_end, unroll
 from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.memory import check_memory
 from gns_pl.rollout.progress import counting
+from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene import Scene
 from gns_pl.solvers.ood import ood_message
 from gns_pl.solvers.recording import Recording
@@ -38,27 +39,27 @@ def record(
     rank: int = 0,
 ) -> None:
     """As `LearnedSolver.record`; arguments and errors as those of `Solver.record`."""
+    barrier()  # nobody looks at files that another run is still writing: the first process holds the folder's lock
+    stepper = solver.policy.stepper(solver.checkpoint, shared=True)
     reductions = [solver.reduced(scene) for scene in scenes]
     recordings = []
     for scene, path, reduction in zip(scenes, paths, reductions, strict=True):
         start = solver.start(reduction.scene, seed, {**solver.facts(scene), "seed": seed})
         steps = solver.num_steps(reduction.scene)
-        recordings.append(Recording.of(path, start, reduction, steps, history=solver.stepper.history_length))
+        recordings.append(Recording.of(path, start, reduction, steps, history=stepper.history_length))
     runs = [Run(recording.start, recording.num_steps, recording.past, recording.made) for recording in recordings]
     for run in runs:
-        check_run(run, solver.stepper.config)
-        check_reach(run.start, solver.stepper.config.connectivity_radius)
+        check_run(run, stepper.config)
+        check_reach(run.start, stepper.config.connectivity_radius)
     barrier()  # all processes have seen the files as they were
     left = [(recording, run) for recording, run in zip(recordings, runs, strict=True) if not recording.is_done]
     watches = [_watch(solver, run) if monitor else None for _, run in left]
     if rank:
         with torch.inference_mode():
-            deque(
-                unroll(solver.stepper, [run for _, run in left], rest=solver.policy.rest(), watches=watches), maxlen=0
-            )
+            deque(unroll(stepper, [run for _, run in left], rest=solver.policy.rest(), watches=watches), maxlen=0)
         return
     if left:
-        _write(solver, [recording for recording, _ in left], [run for _, run in left], watches)
+        _write(solver, stepper, [recording for recording, _ in left], [run for _, run in left], watches)
     for recording in recordings:
         if recording.is_done:
             print(f"{recording.path}: {f'complete {recording.ended}' if recording.ended else 'already complete'}")
@@ -70,10 +71,14 @@ def _watch(solver: LearnedSolver, run: Run) -> Watch:
 
 
 def _write(
-    solver: LearnedSolver, recordings: Sequence[Recording], runs: Sequence[Run], watches: Sequence[Watch | None]
+    solver: LearnedSolver,
+    stepper: Stepper,
+    recordings: Sequence[Recording],
+    runs: Sequence[Run],
+    watches: Sequence[Watch | None],
 ) -> None:
     """Make the steps of all runs together and close every file when its scene is done."""
-    stepper, dt = solver.stepper, solver.interval
+    dt = solver.interval
     for recording in recordings:
         if recording.reduction.description:
             print(f"{recording.start.scene.name}: {recording.reduction.description}")

@@ -1,7 +1,7 @@
 """How far a run is from what its network saw in training: over time, in one early number, and in words.
 
-It is told by a run's own states (`graph.Seen`) and by its scene (`training_range.out_of_range`), since neither shows
-all: no state shows the floor's friction, and no scene that a heap falls apart.
+It is judged by a run's own states (`graph.TrainingDistribution`) and by its scene (`training_range.out_of_range`),
+since neither shows all: no state shows the floor's friction, and no scene that a heap falls apart.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class TrainedSolver(Solver):
         if self.dim == 2 and scene.dim == 3:
             reasons = [not_plane_reason(scene, axis) for axis in (1, 0)]
             if None not in reasons:
-                return f"is of plane strain, and the scene is not: {reasons[0]}"
+                return f"runs plane strain only, and the scene is not: {reasons[0]}"
         elif self.dim != scene.dim:
             return f"has {self.dim} dimensions, the scene {scene.dim}"
         return None

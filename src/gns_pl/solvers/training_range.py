@@ -27,7 +27,8 @@ def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         yield "knows no obstacles"
     most = max(family.get("bodies", 1) for family in families)
     if len(scene.bodies) > most:
-        yield f"saw {'single bodies' if most == 1 else f'up to {most} bodies'}, the scene has {len(scene.bodies)}"
+        known_bodies = "single bodies" if most == 1 else f"up to {most} bodies"
+        yield f"trained on {known_bodies}, the scene has {len(scene.bodies)}"
     walls = [{**data.get("walls", {}), **family.get("walls", {})} for family in families]
     known = [{face: part_from_dict(Wall, face, wall) for face, wall in each.items()} for each in walls]
     touched = [face for face in scene.walls if face != "z+"]  # nothing rises to the lid
@@ -42,7 +43,7 @@ def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         yield f"trained with other walls ({how})"
     gravity = float(data.get("gravity", 0.0))
     if any(scene.gravity[:-1]) or abs(-scene.gravity[-1] - gravity) > 0.01 * gravity:
-        yield f"its gravity was {gravity:g} m/s² downwards"
+        yield f"trained at a gravity of {gravity:g} m/s² downwards"
     angles = [each for family in families for each in family.get("friction_angle_deg", ())]
     base = part_from_dict(Material, "material", data["material"])
     materials = [base, *(material for family in families for material in family.get("materials", ()))]
@@ -50,10 +51,10 @@ def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         material = scene.materials[body.material]
         angle = material.friction_angle_deg
         if angles and not min(angles) <= angle <= max(angles):
-            yield f"its friction angles were {min(angles):g} to {max(angles):g}°"
+            yield f"trained on friction angles of {min(angles):g} to {max(angles):g}°"
         other_angle = not angles and angle != base.friction_angle_deg
         if other_angle or all(replace(each, friction_angle_deg=angle) != material for each in materials):
-            yield "its material was another"
+            yield "trained on another material"
         yield from _beyond_shape(scene, body, families)
 
 
@@ -93,8 +94,8 @@ def _beyond_shape(scene: Scene, body: Any, families: list[Mapping[str, Any]]) ->
         ("aspect ratios", ratio, span("aspect_ratio"), ""),
     ):
         if not 0.99 * low <= value <= 1.01 * high:
-            yield f"saw {what} from {low:g} to {high:g}{unit}, not {value:.3g}"
+            yield f"trained on {what} from {low:g} to {high:g}{unit}, not {value:.3g}"
     if speed > 1e-9 + math.sqrt(scene.dim) * span("speed")[1] or (speed and math.isnan(span("speed")[1])):
-        yield f"saw initial speeds up to {span('speed')[1]:g} m/s along an axis"
+        yield f"trained on initial speeds up to {span('speed')[1]:g} m/s along an axis"
     if drop > 1e-9 and not drop <= 1.01 * span("max_drop")[1]:
-        yield f"saw drops up to {span('max_drop')[1]:g} m"
+        yield f"trained on drops up to {span('max_drop')[1]:g} m"

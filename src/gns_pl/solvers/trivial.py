@@ -24,7 +24,7 @@ class Still(Solver):
     """Nothing moves.
 
     Attributes:
-        name: of the way.
+        name: of the solver.
         cells: particles stand as two in every one of so many cells per √(L0 H0).
     """
 

@@ -21,8 +21,9 @@ GROUPS = {
     "extrapolated": ("two MPM runs extrapolated", "#56B4E9", "x"),
     "law": ("law of the aspect ratio (microseconds)", "#E69F00", "+"),
     "trivial": ("trivial", "#777777", "^"),
+    "other": ("other solvers", "#000000", "P"),
 }
-"""Group → legend, colour (Okabe and Ito's), marker."""
+"""Group → legend, colour (Okabe and Ito's), marker. A group that is not here is drawn as "other"."""
 
 LEAST, SOON = 2e-3, 2e-4
 """Errors are drawn as at least this; what takes less time [s] is drawn at this, for the axes are logarithmic."""
@@ -34,7 +35,7 @@ class Mark:
 
     Attributes:
         name: of the setting.
-        group: in `GROUPS`.
+        group: in `GROUPS`, or another.
         seconds: wall time of a scene [s].
         low: of the fastest run.
         high: of the slowest.
@@ -97,13 +98,18 @@ def plot_chart(
             figure.savefig(path)
 
 
+def shown_group(mark: Mark) -> str:
+    """Return the group as which a setting is drawn."""
+    return mark.group if mark.group in GROUPS else "other"
+
+
 def _draw_front(axes: Any, marks: Sequence[Mark], band: float) -> None:
     axes.axhspan(
         LEAST / 2, max(band, LEAST / 2), color="0.92", linewidth=0, zorder=-2, label="the reference's own uncertainty"
     )
     named: list[tuple[str, tuple[float, float], str]] = []
     for group, (legend, colour, marker) in GROUPS.items():
-        own = sorted((mark for mark in marks if mark.group == group), key=lambda mark: mark.seconds)
+        own = sorted((mark for mark in marks if shown_group(mark) == group), key=lambda mark: mark.seconds)
         for number, mark in enumerate(own):
             place = max(mark.seconds, SOON), max(mark.error, LEAST)
             named.append((mark.label, place, colour))

@@ -41,7 +41,7 @@ def by_model(rows: Sequence[Row]) -> dict[str, list[Row]]:
 def summary_table(rows: Sequence[Row]) -> str:
     """Return a line for every model, in Markdown."""
     lines = [
-        "| model | failed | within its data | told before | first failures | heaps: centre, farthest particle "
+        "| model | failed | within its data | warned before | first failures | heaps: centre, farthest particle "
         "[spacings] | momentum not explained [g] | seconds |",
         "|---|---|---|---|---|---|---|---|",
     ]
@@ -76,12 +76,12 @@ def axis_table(rows: Sequence[Row]) -> str:
 
 
 def failures(rows: Sequence[Row]) -> str:
-    """Return sentences for failures within the data and for those that were not foretold, in Markdown."""
+    """Return sentences for failures within the data and for those without a warning before, in Markdown."""
     lines = []
     for name, own_rows in by_model(rows).items():
         unexpected = [row for row in own_rows if row.kind and (row.inside or not row.announced)]
         for row in unexpected[:NAMED]:
-            where = "within its data" if row.inside else "not foretold"
+            where = "within its data" if row.inside else "no warning before"
             lines.append(f"- `{name}`, {row.scene} ({row.value}), {where}: {row.message}.")
         if len(unexpected) > NAMED:
             lines.append(f"- `{name}`: and {len(unexpected) - NAMED} more (stress.csv).")
@@ -115,7 +115,7 @@ Failures along each axis, and when the first of them came:
 
 ![survival](stress.png)
 
-Failures within a model's data, and those that nothing foretold:
+Failures within a model's data, and those without a warning before:
 
 {failures(rows)}
 """

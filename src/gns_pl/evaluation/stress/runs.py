@@ -78,7 +78,7 @@ class Row:
 
     @property
     def announced(self) -> bool:
-        """Whether the failure was foretold: the scene is beyond the data, or the run had left the training range."""
+        """Whether there was a warning before: the scene is beyond the data, or the run had left the training range."""
         return bool(self.kind) and (not self.inside or self.exit_time <= self.failed_at)
 
 
