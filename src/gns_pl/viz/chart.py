@@ -16,6 +16,7 @@ GROUPS = {
     "mpm": ("MPM", "#0072B2", "o"),
     "learned": ("learned", "#D55E00", "s"),
     "corrected": ("corrected MPM", "#009E73", "D"),
+    "retuned": ("MPM fitted to fine MPM", "#882255", "P"),
     "hybrid": ("handed over", "#CC79A7", "v"),
     "extrapolated": ("two MPM runs extrapolated", "#56B4E9", "x"),
     "law": ("law of the aspect ratio (microseconds)", "#E69F00", "+"),
