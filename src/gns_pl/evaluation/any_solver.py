@@ -101,8 +101,7 @@ def evaluate_solver(settings: Mapping[str, Any], label: str = "") -> dict[str, l
         truth = _reference(fine, scene, interval, seeds[0], Path(settings["cache"]))
         trajectories = [solver.run(scene, interval=interval, seed=seed) for seed in seeds]
         rows[name] = _errors(name, Placements.of(trajectories, Measured(truth)))
-        runs[f"{name}_{solver.name}"] = ReportedRun(trajectories[0], solver.name)
-        runs[f"{name}_reference"] = ReportedRun(truth, "MPM")
+        runs[name] = ReportedRun(trajectories[0], solver.name, reference=truth)
         _print(solver, rows[name], len(seeds))
     out = (Path(settings["out"]) if settings["out"] else Path("runs") / solver.name / "evaluation") / label
     files = write_report(
