@@ -30,7 +30,7 @@ LOG = logging.getLogger("mkdocs.hooks.pages")
 NAVIGATION = {
     "Guide": (
         *("quickstart", "commands", "python", "simulate", "scenes", "training", "data", "evaluation"),
-        *("inverse", "formats", "export", "extend"),
+        *("retuned", "inverse", "formats", "export", "extend"),
     ),
     "Measured": ("results", "chart", "reductions", "stability", "trust", "performance", "reference", "shallow"),
 }

@@ -25,7 +25,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "io": ("stream", "lock"),
     "metrics": ("measures", "summary", "quantities", "curves", "laws"),
     "mpm": ("settings",),
-    "shallow": ("solver", "particles"),
+    "shallow": (),
     "models": ("simulator", "geoelements", "corrector", "registry", "checkpoint", "shipped"),
     "generation": ("kinds",),
     "rollout": ("gradient", "acceleration", "stabilise", "policy", "rest", "failure", "distributed"),
@@ -34,6 +34,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "mpm",
         "learned",
         "corrected",
+        "retuned",
         "hybrid",
         "catalogue",
         "simulate",
@@ -45,7 +46,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     ),
     "evaluation": ("evaluate", "bands", "stress.suite", "chart.benchmark"),
     "viz": (),
-    "inverse": ("deposit", "problem", "fit"),
+    "inverse": ("deposit", "problem", "fit", "search", "retuning", "observed"),
     "training": ("train", "config", "module", "correction", "followed", "sweep", "advice.advise"),
     "data": ("datamodule", "windows", "statistics", "survey"),
     "convert": ("convert", "formats", "weights", "weights_export", "program"),
@@ -142,7 +143,8 @@ def identifier(code: str, classes: dict[str, str]) -> str | None:
     dotted = code.removeprefix("gns_pl.")
     first, dot, _ = dotted.partition(".")
     if dotted != code and first in public_names():
-        return f"gns_pl.{public_names()[first]}.{dotted}"
+        module, _, other = public_names()[first].partition(":")  # "module:other" where it is called otherwise there
+        return f"gns_pl.{module}.{other + dotted.removeprefix(first) if other else dotted}"
     if dotted != code or (dot and first in ROOMS):
         return f"gns_pl.{dotted}"
     return classes[first] + dotted.removeprefix(first) if first in classes else None

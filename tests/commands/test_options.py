@@ -24,7 +24,9 @@ from gns_pl.training import sweep  # registers the resolvers of conf/train.yaml
 
 FROZEN = Path(__file__).parent / "options"
 COMMANDS = sorted(path.stem for path in CONF.glob("*.yaml"))
-NAMED = re.compile(r"^(data\.families|evaluation\.columns|evaluation\.stress\.variants|choice\.hybrid)\.\w+(\.\d+)?")
+NAMED = re.compile(
+    r"^(data\.families|evaluation\.columns|evaluation\.stress\.variants|choice\.hybrid|scenes)\.\w+(\.\d+)?"
+)
 
 
 def offered(command: str) -> list[str]:

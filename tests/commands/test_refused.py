@@ -18,7 +18,7 @@ from tests.commands.test_train import ROOT
 from tests.commands.typed import typed
 from tests.data.sets import make_flight, make_scene, write_set
 
-COMMANDS = ("train", "evaluate", "simulate", "generate", "benchmark", "convert")
+COMMANDS = ("train", "evaluate", "simulate", "generate", "benchmark", "convert", "fit")
 SCENE = str(ROOT / "scenes/two_blocks.yaml")
 RUN = ("ckpt=collapse", "scene=column_collapse")
 TINY = ("data=quickstart", "data.root=/dev/null/none")  # were a training begun, it would end at once

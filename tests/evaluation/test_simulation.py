@@ -99,7 +99,7 @@ def test_mpm_is_evaluated_alone_with_what_other_cells_change(
     evaluate_config(config("evaluate", *settings, "cell_size=0.1", "evaluation.spread=[]", "ckpt=column-fast"))
     assert asked == [0.1]
     for options, sentence in (
-        (("solver=dem",), "solver must be learned or mpm"),
+        (("solver=dem",), "solver: .*dem"),
         (("evaluation.split=test",), "solver=mpm runs columns or scenes"),
         (("ckpt=[collapse,collapse_plane]",), "takes one ckpt"),
         (("evaluation.spread=[-1]",), r"evaluation\.spread: sizes of cells"),

@@ -19,7 +19,10 @@ from gns_pl.generation.stored import OPTION, is_dataset
 from gns_pl.scene.changes import encoded
 from gns_pl.text import quoted_value
 
-LISTS = ("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.corrected", "hydra.searchpath")
+LISTS = (
+    *("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.corrected", "choice.retuned"),
+    "hydra.searchpath",
+)
 """Keys whose value is the name of a file, or a list of such names: [a,b]."""
 
 NAMES = (

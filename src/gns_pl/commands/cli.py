@@ -7,7 +7,7 @@ import sys
 
 from gns_pl.text import did_you_mean, use_program
 
-COMMANDS = ("train", "evaluate", "simulate", "generate", "benchmark", "convert")
+COMMANDS = ("train", "evaluate", "simulate", "generate", "benchmark", "convert", "fit")
 
 
 def main() -> None:

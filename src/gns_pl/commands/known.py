@@ -30,7 +30,7 @@ OPEN = (
         "costs",
         "variants",
     ),
-    *("side_walls", "wall", "material", "types", "sand", "paper", "mpm"),
+    *("side_walls", "wall", "material", "types", "sand", "paper", "mpm", "scenes"),
 )
 """Where keys may be added, left out and be null; what reads them checks them."""
 
@@ -68,7 +68,7 @@ MPM = ("", "choice.", "data.", "evaluation.stress.")
 
 WHOLE = {
     **dict.fromkeys(("seed", "data.seed", "evaluation.seed", "evaluation.stress.seed", "evaluation.placements"), 0),
-    **dict.fromkeys(("num_workers", "threads", "placements"), 1),
+    **dict.fromkeys(("num_workers", "threads", "placements", "budget"), 1),
     **dict.fromkeys(("batches.turns", "valid", "test"), 0),
     **dict.fromkeys((f"{owner}mpm.points_per_direction" for owner in MPM), 1),
 }
@@ -77,6 +77,7 @@ WHOLE = {
 POSITIVE = (
     *(f"{owner}mpm.{name}" for owner in MPM for name in ("courant", "cell_size")),
     *("frame_interval", "choice.frame_interval", "evaluation.duration", "evaluation.stress.interval"),
+    *("cells", "difference", "map_cell", "duration_tau", "fine.cells_per_metre", "fine.interval"),
 )
 """Keys of numbers above zero."""
 

@@ -38,12 +38,16 @@ def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, 
         from gns_pl.evaluation.stress.judge import stress_from_settings
 
         return stress_from_settings(settings, label)
-    if settings["solver"] not in ("learned", "mpm"):
-        raise InputError(f"solver must be learned or mpm, not {settings['solver']!r}.")
     if settings["solver"] == "mpm":
         from gns_pl.evaluation.solver_alone import evaluate_mpm
 
         return {name: run.trajectory.provenance for name, run in evaluate_mpm(settings, label).items()}
+    if settings["solver"] != "learned":
+        from gns_pl.evaluation.any_solver import evaluate_solver
+
+        return {
+            name: {row.quantity: row.mean for row in rows} for name, rows in evaluate_solver(settings, label).items()
+        }
     if settings["cell_size"] is not None:
         raise InputError("cell_size= is that of solver=mpm; a checkpoint is judged against the MPM of its own data.")
     evaluation, wanted = settings["evaluation"], settings["ckpt"]

@@ -40,12 +40,14 @@ class ReportedRun:
         solver: by which it was made, as the figures name it.
         spread: entry of a summary → by how much other cells change it, in its unit; empty if none were run.
         cells: of the other runs, over those of this one.
+        reference: what it should be, by fine MPM, drawn beside it; None if there is none.
     """
 
     trajectory: Trajectory
     solver: str
     spread: Mapping[str, float] = field(default_factory=dict)
     cells: tuple[float, ...] = ()
+    reference: Trajectory | None = None
 
 
 def check_reporting(*, figures: bool, film: str | None, paraview: bool, key: str) -> None:
@@ -205,13 +207,18 @@ def _draw(
 ) -> list[Path]:
     from gns_pl.viz import plot_curves, plot_evolution, write_animation
 
-    of_solver = {name: {run.solver: curves[name]} for name, run in runs.items()}
+    references = {name: {} if run.reference is None else {"MPM": run.reference} for name, run in runs.items()}
+    of_solver = {
+        name: {**{solver: compute_curves(flow) for solver, flow in references[name].items()}, run.solver: curves[name]}
+        for name, run in runs.items()
+    }
     files = [out / "runout_height.png", out / "runout_height.pdf", out / "energy.png"]
     plot_curves(of_solver, ("runout", "height"), files[:2])
     plot_curves(of_solver, ("energy", "speed"), files[2:])
     for name, run in runs.items():
         flow = mobile(run.trajectory)
-        shown, scale = {run.solver: flow}, characteristic_time(flow.scene)
+        shown = {**{solver: mobile(reference) for solver, reference in references[name].items()}, run.solver: flow}
+        scale = characteristic_time(flow.scene)
         files += [out / f"evolution_{name}.png", out / f"evolution_{name}.pdf", out / f"{name}.gif"]
         plot_evolution(shown, files[-3:-1], time_scale=scale, times=snapshots, diameter=flow.spacing)
         write_animation(shown, files[-1], time_scale=scale, diameter=flow.spacing, num_frames=num_frames, width=width)

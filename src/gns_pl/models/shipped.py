@@ -20,6 +20,9 @@ CORRECTOR = ".corrector"
 CORRECTOR_KIND = "corrector"
 """model.kind of what corrects coarse MPM, in conf/model and in the checkpoints of its training."""
 
+RETUNED = ".yaml"
+"""Ending of the files of retuned MPM."""
+
 
 def pretrained_names() -> list[str]:
     """Return the names that can stand in the place of a checkpoint's path."""
@@ -41,6 +44,22 @@ def find_corrector(path: str | Path) -> Path:
     """Return the path of a corrector: that of one that comes with the package if its bare name is given."""
     shipped = FOLDER / f"{path}{CORRECTOR}"
     return shipped if shipped.is_file() and not Path(path).is_file() else Path(path)
+
+
+def retuned_names() -> list[str]:
+    """Return the names of the retuned MPM solvers that come with the package."""
+    return sorted(path.stem for path in FOLDER.glob(f"*{RETUNED}"))
+
+
+def find_retuned(path: str | Path) -> Path:
+    """Return the path of a retuned solver: that of one that comes with the package if its bare name is given."""
+    shipped = FOLDER / f"{path}{RETUNED}"
+    return shipped if shipped.is_file() and not Path(path).exists() else Path(path)
+
+
+def is_retuned(path: str | Path) -> bool:
+    """Return whether a name or a file is a retuned solver."""
+    return find_retuned(path).suffix == RETUNED
 
 
 def is_corrector(path: str | Path) -> bool:

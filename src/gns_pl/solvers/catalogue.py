@@ -16,7 +16,9 @@ from gns_pl.models.shipped import (
     find_checkpoint,
     find_corrector,
     is_corrector,
+    is_retuned,
     pretrained_names,
+    retuned_names,
 )
 from gns_pl.mpm import settings as mpm_settings
 from gns_pl.presets import preset
@@ -25,6 +27,7 @@ from gns_pl.solvers.corrected import CorrectedSolver
 from gns_pl.solvers.hybrid import HybridSolver
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.mpm import MPMSolver
+from gns_pl.solvers.retuned import read_retuned
 from gns_pl.solvers.shallow import ShallowSolver
 from gns_pl.solvers.solver import Solver
 from gns_pl.text import did_you_mean
@@ -57,7 +60,7 @@ def make_solvers(choice: Mapping[str, Any], policy: Policy | None = None) -> lis
     """Return the solvers that a configuration names (conf/choice).
 
     Args:
-        choice: {learned, corrected, hybrid, cells, mpm, shallow, others}; what is missing names none.
+        choice: {learned, corrected, hybrid, cells, mpm, retuned, shallow, others}; what is missing names none.
         policy: how learned ones are run.
 
     Raises:
@@ -81,6 +84,7 @@ def make_solvers(choice: Mapping[str, Any], policy: Policy | None = None) -> lis
         solvers.append(HybridSolver(name, learned, parts["until"]))
     for cells in choice.get("cells", ()):
         solvers.append(MPMSolver(f"mpm_{cells:g}", float(cells), choice["mpm"]))
+    solvers += map(read_retuned, choice.get("retuned", ()))
     for name, parts in (choice.get("shallow") or {}).items():
         if "cells" not in parts:
             raise InputError(f"choice.shallow.{name}: needs cells, over √(L0 H0).")
@@ -102,8 +106,9 @@ def load_solver(
     """Return a solver by its name, ready to run.
 
     Args:
-        name: of what comes with the package ("column-fast", "corrected_plane", "mpm_10.2"), a checkpoint's or
-            corrector's file, "mpm", a registered name, or "module.Class" of one of your own.
+        name: of what comes with the package ("column-fast", "corrected_plane", "mpm_10.2", "mpm-retuned-5"), a
+            checkpoint's, corrector's or retuned solver's file, "mpm", a registered name, or "module.Class" of one of
+            your own.
         device: "cpu", "cuda", or "auto": where it is measured to run best.
         policy: how a learned one is run.
         choice: the configuration whose names are known besides; None takes the package's (conf/choice/default.yaml).
@@ -117,12 +122,14 @@ def load_solver(
         return _mpm(choice, cell_size).on(device)
     if cell_size is not None:
         raise InputError(f"cell_size= is that of solver=mpm, not of {name}.")
-    if name in REGISTERED or (CLASS.fullmatch(name) and Path(name).suffix not in (".ckpt", ".corrector")):
+    if name in REGISTERED or (CLASS.fullmatch(name) and Path(name).suffix not in (".ckpt", ".corrector", ".yaml")):
         return _own(name).on(device)
     if is_corrector(name):
         if not find_corrector(name).is_file():
             raise InputError(f"{name}: there is no such corrector.")
         return CorrectedSolver(solver_name(name), name).on(device)
+    if is_retuned(name):
+        return read_retuned(name).on(device)
     if find_checkpoint(name).is_file():
         return LearnedSolver(solver_name(find_checkpoint(name)), name, policy or Policy()).on(device)
     solvers = {solver.name: solver for solver in make_solvers({**choice, "learned": [], "corrected": []}, policy)}
@@ -137,7 +144,7 @@ def load_solver(
 def known_names(choice: Mapping[str, Any]) -> list[str]:
     """Return the names by which solvers can be asked for."""
     cells = [f"mpm_{cells:g}" for cells in choice.get("cells", ())]
-    shipped = [*pretrained_names(), *ALIASES, *corrector_names(), *(choice.get("hybrid") or {})]
+    shipped = [*pretrained_names(), *ALIASES, *corrector_names(), *retuned_names(), *(choice.get("hybrid") or {})]
     return list(dict.fromkeys(["mpm", *cells, *shipped, *(choice.get("shallow") or {}), *REGISTERED]))
 
 

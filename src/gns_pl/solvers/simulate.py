@@ -137,7 +137,7 @@ def simulate_by_choice(
     interval = choice["frame_interval"]
     paths = simulate(chosen, scenes, out=out, seed=seed, interval=interval, monitor=monitor)
     for one, scene, path in zip(chosen, scenes, paths, strict=True):
-        if check and isinstance(one, MPMSolver):
+        if check and isinstance(one, MPMSolver) and one.group == "mpm":
             simulate(one.coarser(CHECK_CELLS), [scene], out=out, files=[check_path(path)], seed=seed, interval=interval)
     return paths
 
@@ -249,7 +249,7 @@ def _tell_notices(solver: Solver, scene: Scene, check: bool) -> None:
     notice = None if solver.group == "learned" else compression_notice(scene)
     if notice is not None:
         print(f"{notice}.")
-    if check and not isinstance(solver, MPMSolver):
+    if check and solver.group != "mpm":
         print(f"check: {solver.name} has no cells of its own to compare; solver=mpm check=true does.")
 
 

@@ -1,0 +1,230 @@
+"""The fit of coarse MPM to fine MPM: references, search, errors before and after, and the solver's file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gns_pl.errors import InputError
+from gns_pl.generation import reference_trajectory
+from gns_pl.inverse.fit import Floats
+from gns_pl.inverse.observed import Observed, observe
+from gns_pl.inverse.scenes import short_scene
+from gns_pl.inverse.search import Goal, Runs, search
+from gns_pl.io.lock import locked
+from gns_pl.io.tables import write_table
+from gns_pl.mpm.settings import solver_config, solver_version
+from gns_pl.scene import Scene, read_scene
+from gns_pl.solvers.reduction import reduce_scene
+from gns_pl.solvers.retuned import Factors, RetunedMPMSolver, range_of, write_retuned
+from gns_pl.solvers.solver import hashed
+from gns_pl.text import command
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+PLACEMENTS = 3
+"""Of the particles, over which the errors on held-out scenes are averaged."""
+
+KINDS = {"fitted": False, "held_out": True}
+"""Key of a summary → whether its scenes were held out."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors on a scene, before the fit and after it.
+
+    Attributes:
+        scene: its name.
+        held_out: it was not fitted to.
+        front_before: relative, of the distance within which 99 % of the mass lies.
+        front_after: likewise.
+        height_before: relative, of the mean height.
+        height_after: likewise.
+        map_before: part of the volume that is misplaced.
+        map_after: likewise.
+    """
+
+    scene: str
+    held_out: bool
+    front_before: float
+    front_after: float
+    height_before: float
+    height_after: float
+    map_before: float
+    map_after: float
+
+
+def retune(
+    make_goal: Callable[[Sequence[Scene]], Goal],
+    scenes: Sequence[Scene],
+    held_out: Sequence[Scene] = (),
+    *,
+    out: Path,
+    name: str,
+    fitted: Mapping[str, Any],
+    **how: Any,
+) -> Path:
+    """Fit, judge, and write a solver's file OUT/NAME.yaml and its errors OUT/NAME.csv.
+
+    Args:
+        make_goal: returns what is sought on scenes, their fine runs included.
+        scenes: to fit to.
+        held_out: on which it is judged besides.
+        out: folder; made.
+        name: of the solver.
+        fitted: provenance that is not known here.
+        **how: bounds, difference and budget, as of `search`.
+
+    Returns:
+        The solver's file.
+
+    Raises:
+        InputError: as `search`, or a folder that holds another fit.
+        StorageError: the disk refuses; the runs stay.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    with locked(out / ".fit.lock", on_wait=lambda: print(f"{out}: another fit is writing here; waiting for it")):
+        goal = make_goal(scenes)
+        parts = [goal.weights.tolist(), goal.map_cell, goal.interval, goal.seed, dict(fitted)]
+        runs = Runs(out / "runs.json", hashed([goal.solver.identity(), [scene.to_dict() for scene in scenes], *parts]))
+        plain, factors = goal.solver.factors, search(goal, runs=runs, **how)
+        rows = _rows(scenes, False, *(runs.errors[tuple(vars(each).values())] for each in (plain, factors)))
+        if held_out:
+            judged = make_goal(held_out)
+            rows += _rows(held_out, True, *(_mean_errors(judged, each) for each in (plain, factors)))
+        write_table(out / f"{name}.csv", Row, rows, digits=4)
+        summary = {
+            **fitted,
+            "runs": len(runs.errors),
+            "scenes": [scene.name for scene in scenes],
+            "errors": {kind: _summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
+            "solver_version": solver_version(goal.solver.settings),
+        }
+        path = out / f"{name}.yaml"
+        write_retuned(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), summary)
+    print(f"\n{table(rows)}\n\n{path}: {', '.join(f'{key} {value:.3g}' for key, value in vars(factors).items())}")
+    print(f"To run it: {command('simulate')} solver={path} scene=mine.yaml")
+    return path
+
+
+def _mean_errors(goal: Goal, factors: Factors) -> Floats:
+    """Return the errors of every scene, the mean over placements that no fit has seen [S, 3]."""
+    return np.asarray(np.mean([goal.errors(factors, 1000 * number) for number in range(1, PLACEMENTS + 1)], axis=0))
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return errors before and after as a Markdown table."""
+    lines = ["| scene | front | mean height | map |", "|---|---|---|---|"]
+    for row in rows:
+        pairs = [(row.front_before, row.front_after), (row.height_before, row.height_after)]
+        cells = [f"{100 * before:+.1f} → {100 * after:+.1f} %" for before, after in pairs]
+        lines.append(
+            f"| {row.scene}{', held out' if row.held_out else ''} | {cells[0]} | {cells[1]} | "
+            f"{row.map_before:.3f} → {row.map_after:.3f} |"
+        )
+    for kind, held in KINDS.items():
+        if any(row.held_out == held for row in rows):
+            both = _summary([row for row in rows if row.held_out == held])
+            cells = [" → ".join(f"{100 * value:.1f}" for value in both[key]) for key in ("front", "height")]
+            misplaced = " → ".join(f"{value:.3f}" for value in both["map"])
+            lines.append(f"| **rms, {kind.replace('_', ' ')}** | {cells[0]} % | {cells[1]} % | {misplaced} |")
+    return "\n".join(lines)
+
+
+def _summary(rows: Sequence[Row]) -> dict[str, list[float]]:
+    """Return the rms of every error over scenes, before and after."""
+    return {
+        key: [
+            round(math.sqrt(sum(getattr(row, f"{key}_{when}") ** 2 for row in rows) / max(1, len(rows))), 5)
+            for when in ("before", "after")
+        ]
+        for key in ("front", "height", "map")
+    }
+
+
+def _rows(scenes: Sequence[Scene], held_out: bool, before: Floats, after: Floats) -> list[Row]:
+    return [
+        Row(scene.name, held_out, *np.column_stack(pair).ravel().tolist())
+        for scene, *pair in zip(scenes, before, after, strict=True)
+    ]
+
+
+def fit_config(cfg: DictConfig) -> Path:
+    """Fit as a Hydra config says (conf/fit.yaml).
+
+    Raises:
+        InputError: settings that cannot be used.
+    """
+    from omegaconf import OmegaConf
+
+    settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    scenes = {scene.name: scene for scene in _scenes(settings)}
+    unknown = [name for name in settings["held_out"] if name not in scenes]
+    if unknown and settings["scene"] is None:
+        raise InputError(f"held_out: there is no scene {unknown[0]}; there are {', '.join(scenes)}.")
+    held_out = [scene for name, scene in scenes.items() if name in settings["held_out"]]
+    fitted = [scene for name, scene in scenes.items() if name not in settings["held_out"]]
+    if not fitted:
+        raise InputError("held_out: all scenes are held out; leave some to fit to.")
+    weights = settings["weights"]
+    if set(weights) != {"front", "height", "map"}:
+        raise InputError(f"weights: needs front, height and map, not {', '.join(weights)}.")
+    mpm, fine = settings["choice"]["mpm"], settings["fine"]
+    solver_config({**mpm, "cell_size": 1 / fine["cells_per_metre"]})
+
+    def make_goal(group: Sequence[Scene]) -> Goal:
+        return Goal(
+            solver=RetunedMPMSolver(settings["name"], float(settings["cells"]), mpm),
+            scenes=group,
+            references=[fine_deposit(scene, settings) for scene in group],
+            weights=np.array([weights[key] for key in ("front", "height", "map")], dtype=np.float64),
+            map_cell=settings["map_cell"],
+            interval=fine["interval"],
+            seed=settings["seed"],
+        )
+
+    return retune(
+        make_goal,
+        fitted,
+        held_out,
+        out=Path(settings["out"]),
+        name=settings["name"],
+        fitted={"fine": fine, "weights": weights},
+        **{key: settings[key] for key in ("bounds", "difference", "budget")},
+    )
+
+
+def fine_deposit(scene: Scene, settings: Mapping[str, Any]) -> Observed:
+    """Return what fine MPM leaves of a scene, from the cache if it was run before.
+
+    Args:
+        scene: to run, as its slice or half where it has one.
+        settings: as conf/fit.yaml.
+    """
+    reduction, fine = reduce_scene(scene), settings["fine"]
+    trajectory = reference_trajectory(
+        reduction.scene,
+        {**settings["choice"]["mpm"], "cell_size": 1 / fine["cells_per_metre"]},
+        frame_interval=fine["interval"],
+        seed=0,
+        cache_directory=settings["cache"],
+    )
+    return observe(reduction.lift(trajectory), settings["map_cell"])
+
+
+def _scenes(settings: Mapping[str, Any]) -> list[Scene]:
+    named = settings["scene"]
+    if named:
+        return [read_scene(Path(path)) for path in ([named] if isinstance(named, str) else named)]
+    paper = settings["paper"]
+    common = {key: paper[key] for key in ("material", "walls", "gravity")}
+    return [
+        short_scene(name, parts, duration_tau=settings["duration_tau"], **common)
+        for name, parts in settings["scenes"].items()
+    ]

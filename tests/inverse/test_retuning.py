@@ -1,0 +1,189 @@
+"""The fit of coarse MPM finds factors that were hidden, goes on after a kill, and refuses what it cannot use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from gns_pl.errors import InputError
+from gns_pl.inverse import search as search_module
+from gns_pl.inverse.observed import distance_from_release, errors, observe, volume_map
+from gns_pl.inverse.retuning import Row, retune
+from gns_pl.inverse.scenes import short_scene
+from gns_pl.inverse.search import Goal, Runs, search
+from gns_pl.io.tables import read_table
+from gns_pl.scene import FACES, Body, Scene, Wall, write_scene
+from gns_pl.solvers.retuned import Factors, RetunedMPMSolver, read_retuned
+from tests.commands.in_process import call
+from tests.conftest import SAND
+from tests.solvers.test_selection import MPM, column
+
+BOUNDS = {name: [0.3, 3.0] for name in vars(Factors())}
+HIDDEN = Factors(wall_friction=0.75, internal_friction=0.9, cohesion=0.6, damping_rate=0.5)
+SCENES = [column(ratio).replace(name=f"column_{ratio:g}", duration=0.8) for ratio in (0.6, 1.0, 1.8)]
+
+
+def goal(scenes: Sequence[Scene], hidden: Factors = HIDDEN) -> Goal:
+    """Slices of columns, the references made by the very solver with hidden factors."""
+    solver = RetunedMPMSolver("mine", 5.0, MPM)
+    own = replace(solver, factors=hidden)
+    references = [observe(own.run(scene, interval=0.05, seed=n), 0.1) for n, scene in enumerate(scenes)]
+    return Goal(solver, scenes, references, np.array([1.0, 1.0, 2.0]), 0.1, 0.05)
+
+
+def misfit(goal: Goal, factors: Factors) -> float:
+    return float(((goal.weights * goal.errors(factors)) ** 2).sum())
+
+
+def test_hidden_factors_are_found(tmp_path: Path) -> None:
+    wanted = goal(SCENES)
+    assert misfit(wanted, HIDDEN) == 0.0
+    found = search(wanted, BOUNDS, difference=0.05, budget=50, runs=Runs(tmp_path / "runs.json", "id"))
+    assert misfit(wanted, found) < 0.02 * misfit(wanted, Factors())
+    assert found.wall_friction == pytest.approx(0.75, rel=0.1)
+    assert found.internal_friction == pytest.approx(0.9, rel=0.1)
+
+
+def test_a_killed_fit_goes_on_to_the_same_factors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted, how = goal(SCENES[:2]), {"difference": 0.05, "budget": 15}
+    whole = search(wanted, BOUNDS, runs=Runs(tmp_path / "whole.json", "id"), **how)  # type: ignore[arg-type]
+    count, add = [0], Runs.add
+
+    def killed(self: Runs, factors: tuple[float, ...], values: Any) -> None:
+        add(self, factors, values)
+        count[0] += 1
+        if count[0] == 7:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(search_module.Runs, "add", killed)
+    with pytest.raises(KeyboardInterrupt):
+        search(wanted, BOUNDS, runs=Runs(tmp_path / "parts.json", "id"), **how)  # type: ignore[arg-type]
+    assert search(wanted, BOUNDS, runs=Runs(tmp_path / "parts.json", "id"), **how) == whole  # type: ignore[arg-type]
+    assert (tmp_path / "parts.json").read_text() == (tmp_path / "whole.json").read_text()
+    assert count[0] == len(Runs(tmp_path / "whole.json", "id").errors), "no run is made twice"
+    with pytest.raises(InputError, match="holds runs of other scenes, settings or version; remove it"):
+        Runs(tmp_path / "parts.json", "another")
+
+
+def test_a_fit_writes_a_solver_and_its_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    how: dict[str, Any] = {"bounds": BOUNDS, "difference": 0.05, "budget": 15}
+    path = retune(goal, SCENES[::2], SCENES[1:2], out=tmp_path, name="mine", fitted={"fine": "hidden"}, **how)
+    solver, rows = read_retuned(path), read_table(tmp_path / "mine.csv", Row, "?")
+    assert solver.name == "mine" and solver.factors != Factors()
+    assert [(row.scene, row.held_out) for row in rows] == [("column_0.6", 0), ("column_1.8", 0), ("column_1", 1)]
+    assert all(abs(row.front_after) < abs(row.front_before) for row in rows)
+    fitted = yaml.safe_load(path.read_text())["fitted"]
+    assert fitted["fine"] == "hidden" and fitted["scenes"] == ["column_0.6", "column_1.8"]
+    assert fitted["errors"]["held_out"]["front"] == pytest.approx(
+        [abs(rows[2].front_before), abs(rows[2].front_after)], rel=1e-2
+    )
+    out = capsys.readouterr().out
+    assert "| column_1, held out | " in out and "| **rms, fitted** | " in out and f"solver={path}" in out
+    assert solver.out_of_range_reason(SCENES[1]) is None
+    assert "aspect ratios of 0.6 to 1.8" in str(solver.out_of_range_reason(column(3.0)))
+
+
+def test_a_run_that_becomes_unstable_is_a_bad_one_and_no_end() -> None:
+    wanted = goal(SCENES[:1])
+    settings = {**MPM, "courant": 30.0, "allow_large_courant": True, "damping_rate": 0.0}
+    found = replace(wanted, solver=replace(wanted.solver, settings=settings)).errors(Factors())
+    assert (found == search_module.FAILED).all()
+
+
+@pytest.mark.parametrize(
+    "bounds",
+    [{}, {**BOUNDS, "cohesion": [2.0, 1.0]}, {**BOUNDS, "cohesion": [0.0, 1.0]}, {**BOUNDS, "cohesion": [0.1, 0.5]}],
+)
+def test_bounds_that_hold_nothing_are_refused(bounds: Mapping[str, Sequence[float]], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="bounds: "):
+        search(goal([]), bounds, difference=0.1, budget=5, runs=Runs(tmp_path / "runs.json", "id"))
+
+
+def test_the_command_fits_scenes_of_ones_own(tmp_path: Path) -> None:
+    """As anybody types it for his own walls and sand; typed again it makes nothing new."""
+    for scene in SCENES[:2]:
+        write_scene(scene.replace(duration=0.3), tmp_path / f"{scene.name}.yaml")
+    typed = ("name=mine", "scene=[column_0.6.yaml,column_1.yaml]", "held_out=[column_1]", "cells=4", "budget=5")
+    told = call(tmp_path, "fit.py", *typed, "fine.cells_per_metre=24", "cache=cache")
+    assert told.returncode == 0, told.stderr
+    assert "run 5 of about 5: front" in told.stdout and "| column_1, held out | " in told.stdout
+    solver = read_retuned(tmp_path / "runs/mine/mine.yaml")
+    assert solver.cells == 4.0 and solver.settings["precision"] == "float32"
+    again = call(tmp_path, "fit.py", *typed, "fine.cells_per_metre=24", "cache=cache")
+    assert "run 1" not in again.stdout and read_retuned(tmp_path / "runs/mine/mine.yaml") == solver
+    other = call(tmp_path, "fit.py", *typed, "fine.cells_per_metre=24", "cache=cache", "seed=3")
+    assert other.returncode == 2 and "holds runs of other scenes, settings or version" in other.stderr
+    ran = call(tmp_path, "simulate.py", "solver=runs/mine/mine.yaml", "scene=column_1.yaml")
+    assert ran.returncode == 0 and "chosen: mine, as asked for" in ran.stdout, ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("held_out=[colum]",), "held_out: there is no scene colum"),
+        (("weights.fron=1",), "did you mean weights.front?"),
+        (("choice.mpm.courant=2",), "courant 2 is above the limit"),
+        (("scene=nowhere.yaml",), "nowhere.yaml: cannot be read"),
+        (("+scenes.mine={domain:[1,1,1]}",), "scenes.mine: needs domain and bodies"),
+        (("fine.cells_per_metre=0",), "cells_per_metre must be"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(tmp_path: Path, arguments: tuple[str, ...], sentence: str) -> None:
+    told = call(tmp_path, "fit.py", *arguments)
+    assert told.returncode == 2 and sentence in told.stderr, told.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_short_scene_is_the_scene() -> None:
+    parts = {"domain": [1.5, 0.5, 0.9], "bodies": [{"size": [0.3, 0.5, 0.6]}]}
+    walls = {face: vars(wall) for face, wall in column().walls.items()}
+    common: dict[str, Any] = {"material": vars(SAND), "walls": walls, "gravity": 9.81, "duration_tau": 6.0}
+    scene = short_scene("column", parts, **common)
+    assert scene.replace(duration=0.2) == column(2.0).replace(name="column")
+    assert scene.duration == pytest.approx(6 * np.sqrt(0.6 / 9.81))
+    slope = short_scene("slope", {**parts, "slope_deg": 30}, **common)
+    np.testing.assert_allclose(slope.gravity, [9.81 / 2, 0.0, -9.81 * np.sqrt(0.75)])
+    barrier = {"kind": "box", "position": [1, 0, 0], "size": [0.1, 0.5, 0.1]}
+    (box,) = short_scene("barrier", {**parts, "obstacles": [barrier]}, **common).obstacles
+    assert box.wall == scene.walls["z-"]
+
+
+def test_a_map_holds_all_volume_where_it_is() -> None:
+    """One particle over four cells, and many that fill a body: the volume of a cell is its part of the body."""
+    scene = column().replace(bodies=(Body((0.25, 0.1, 0.0), (0.5, 0.3, 0.4), (0.0, 0.0, 0.0)),))
+    one = volume_map(np.array([[0.3, 0.2, 0.1]]), np.array([0.05**3]), scene, 0.1)
+    assert one.shape == (15, 5) and one.sum() == pytest.approx(0.05**3)
+    np.testing.assert_allclose(one[2:4, 1:3], 0.05**3 / 4)
+    spacing, axes = 0.02, []
+    for low, high in zip(scene.bodies[0].position, scene.bodies[0].upper, strict=True):
+        axes.append(np.arange(low + spacing / 2, high, spacing))
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    whole = volume_map(lattice, np.full(len(lattice), spacing**3), scene, 0.1)
+    expected = np.zeros((15, 5))
+    expected[3:7, 1:4], expected[2, 1:4], expected[7, 1:4] = 0.004, 0.002, 0.002
+    np.testing.assert_allclose(whole, expected, atol=1e-12)
+    outside = volume_map(np.array([[-1.0, 9.0, 0.0]]), np.array([1e-6]), scene, 0.1)
+    assert outside[0, -1] == pytest.approx(1e-6)
+
+
+def test_errors_have_a_closed_form() -> None:
+    """A deposit that is moved by one cell misplaces the cells that it leaves; distances are from the nearest body."""
+    scene = column().replace(walls=dict.fromkeys(FACES[3], Wall("slip")))
+    trajectory = RetunedMPMSolver("mine", 5.0, MPM).run(scene.replace(duration=0.01), interval=0.01)
+    start = replace(trajectory, position=trajectory.position[:1])
+    moved = replace(start, position=start.position + np.float32([0.1, 0, 0.05]))
+    first, second = observe(start, 0.1), observe(moved, 0.1)
+    front, height, misplaced = errors(second, first)
+    assert misplaced == pytest.approx(1 / 3, rel=2e-2) and height == pytest.approx(0.05 / first.height, rel=1e-3)
+    assert first.front < 0.03 and second.front == pytest.approx(0.1, abs=0.03) and front > 0
+    bodies = (scene.bodies[0], replace(scene.bodies[0], position=(1.0, 0.0, 0.0)))
+    distance = distance_from_release(
+        np.array([[0.4, 0.2, 0], [0.9, 0.2, 0], [1.1, 0.2, 3.0]]), scene.replace(bodies=bodies)
+    )
+    np.testing.assert_allclose(distance, [0.1, 0.1, 0.0])
