@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gns_pl.evaluation.chart.rows import Tables
+from gns_pl.evaluation.chart.tables import Tables
 from tests.commands.in_process import ROOT, call
 
 TINY = [

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.evaluation.chart.plan import Cost, EntryFacts, Plan, SceneFacts
-from gns_pl.evaluation.chart.rows import Place, RunRow, Tables
+from gns_pl.evaluation.chart.tables import Environment, RunRow, Tables
 
-PLACE = Place("a machine", "cpu", 1, "python 3", "now")
+PLACE = Environment("a machine", "cpu", 1, "python 3", "now")
 
 
 def row(name: str, group: str, error: float, seconds: float, **changes: Any) -> RunRow:

@@ -14,7 +14,7 @@ from gns_pl.evaluation.chart.benchmark import chart, finish
 from gns_pl.evaluation.chart.converged import uncertainty_of
 from gns_pl.evaluation.chart.entries import make_entries
 from gns_pl.evaluation.chart.records import records_of, write_records
-from gns_pl.evaluation.chart.rows import Tables
+from gns_pl.evaluation.chart.tables import Tables
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
 from gns_pl.models.shipped import find_corrector
 from gns_pl.scene import Scene, read_scene

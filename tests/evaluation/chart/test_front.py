@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gns_pl.evaluation.chart.front import (
-    Spot,
+    Setting,
     best_as_fast,
     break_even,
     fastest_as_good,
@@ -16,10 +16,15 @@ from gns_pl.evaluation.chart.front import (
     seconds_of_error,
 )
 
-LINE = [Spot("coarse", 0.1, 0.4), Spot("middle", 1.0, 0.1), Spot("fine", 10.0, 0.025), Spot("slow", 20.0, 0.3)]
+LINE = [
+    Setting("coarse", 0.1, 0.4),
+    Setting("middle", 1.0, 0.1),
+    Setting("fine", 10.0, 0.025),
+    Setting("slow", 20.0, 0.3),
+]
 
 
-def beats(one: Spot, other: Spot) -> bool:
+def beats(one: Setting, other: Setting) -> bool:
     return one.seconds <= other.seconds and one.error <= other.error and one[1:] != other[1:]
 
 
@@ -27,8 +32,8 @@ def beats(one: Spot, other: Spot) -> bool:
 def test_the_front_is_what_nothing_beats(seed: int) -> None:
     generator = np.random.default_rng(seed)
     numbers = generator.integers(1, 8, size=(25, 2))  # so that there are ties
-    spots = [Spot(str(n), float(t), float(e)) for n, (t, e) in enumerate(numbers)]
-    spots.append(Spot("failed", 0.0, math.inf))
+    spots = [Setting(str(n), float(t), float(e)) for n, (t, e) in enumerate(numbers)]
+    spots.append(Setting("failed", 0.0, math.inf))
     wanted = {each for each in spots if not any(beats(other, each) for other in spots) and math.isfinite(each.error)}
     front = pareto_front(spots)
     assert set(front) == wanted and len(front) == len(wanted)
@@ -40,7 +45,7 @@ def test_equal_accuracy_and_equal_time() -> None:
     assert fastest_as_good(LINE, 0.01) is None
     assert best_as_fast(LINE, 30.0) == LINE[2] and best_as_fast(LINE, 1.0) == LINE[1]
     assert best_as_fast(LINE, 0.05) is None
-    assert best_as_fast([Spot("failed", 0.01, math.inf)], 1.0) is None
+    assert best_as_fast([Setting("failed", 0.01, math.inf)], 1.0) is None
 
 
 def test_between_two_settings_time_is_a_power_of_the_error() -> None:
@@ -51,7 +56,7 @@ def test_between_two_settings_time_is_a_power_of_the_error() -> None:
     assert seconds_of_error(LINE, 0.9) == 0.1  # nothing is faster than the fastest
     assert seconds_of_error(LINE, 0.02) == math.inf
     assert seconds_of_error([], 0.1) == math.inf
-    assert seconds_of_error([Spot("exact", 2.0, 0.0), LINE[0]], 0.2) == 2.0
+    assert seconds_of_error([Setting("exact", 2.0, 0.0), LINE[0]], 0.2) == 2.0
 
 
 def test_break_even_is_what_was_spent_over_what_a_scene_saves() -> None:

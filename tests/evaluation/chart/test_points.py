@@ -11,11 +11,11 @@ import pytest
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.draw import draw
+from gns_pl.evaluation.chart.markdown import caption, scenes_of
 from gns_pl.evaluation.chart.plan import read_plan, write_plan
 from gns_pl.evaluation.chart.points import points_of, rows_by_name
-from gns_pl.evaluation.chart.rows import RatioRow, Tables
+from gns_pl.evaluation.chart.tables import RatioRow, Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
-from gns_pl.evaluation.chart.words import caption, scenes_of
 from tests.evaluation.chart.made_up import PLACE, folder, plan, row
 
 

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from gns_pl.evaluation.chart.converged import Converged
-from gns_pl.evaluation.chart.rows import BatchRow, Place, Table
 from gns_pl.evaluation.chart.speed import judged_together
+from gns_pl.evaluation.chart.tables import BatchRow, Environment, Table
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.solver import Solver
@@ -27,7 +27,7 @@ def measure_batches(
     entries: Sequence[Solver],
     scenes: Sequence[Converged],
     table: Table[BatchRow],
-    places: Mapping[str, Place],
+    places: Mapping[str, Environment],
     *,
     sizes: Sequence[int],
     turns: int,
@@ -68,7 +68,7 @@ def measure_batches(
             say(f"{entry.name:28} {size:3} scenes at once: {row.scenes_per_second:.2f} a second")
 
 
-def _found(table: Table[BatchRow], entry: Solver, judged: str, size: int, place: Place) -> BatchRow | None:
+def _found(table: Table[BatchRow], entry: Solver, judged: str, size: int, place: Environment) -> BatchRow | None:
     return table.find(
         name=entry.name, identity=entry.identity(), judged=judged, batch=size, machine=place.machine,
         device=place.device, threads=place.threads,

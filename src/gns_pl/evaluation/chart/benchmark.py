@@ -89,7 +89,7 @@ def chart(
         StorageError: the disk refuses.
     """
     from gns_pl.evaluation.chart.measure import measure
-    from gns_pl.evaluation.chart.rows import Tables
+    from gns_pl.evaluation.chart.tables import Tables
     from gns_pl.generation.records import make_folder
     from gns_pl.io.lock import locked
 
@@ -117,7 +117,7 @@ def finish(
         InputError: nothing was measured there.
     """
     from gns_pl.evaluation.chart.plan import read_plan
-    from gns_pl.evaluation.chart.rows import Tables
+    from gns_pl.evaluation.chart.tables import Tables
 
     plan, tables = read_plan(out / PLAN), Tables(out)  # refused before anything heavy is imported
     from gns_pl.evaluation.chart.draw import FIGURES, PAGE, POINTS, draw

@@ -8,11 +8,11 @@ from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation import tracking
+from gns_pl.evaluation.chart.markdown import caption, page, scenes_of, threads_of
 from gns_pl.evaluation.chart.plan import MEASURES, Plan
 from gns_pl.evaluation.chart.points import Point, points_of, rows_by_name
-from gns_pl.evaluation.chart.rows import Tables
+from gns_pl.evaluation.chart.tables import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
-from gns_pl.evaluation.chart.words import caption, page, scenes_of, threads_of
 from gns_pl.io.atomic import write_atomically
 from gns_pl.io.tables import write_table
 from gns_pl.viz import Mark, plot_chart

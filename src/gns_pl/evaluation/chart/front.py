@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 
-class Spot(NamedTuple):
+class Setting(NamedTuple):
     """A name at a place of the chart.
 
     Attributes:
@@ -26,30 +26,30 @@ class Spot(NamedTuple):
     error: float
 
 
-def pareto_front(spots: Sequence[Spot]) -> list[Spot]:
+def pareto_front(spots: Sequence[Setting]) -> list[Setting]:
     """Return the spots that no other one beats, the fastest first.
 
     One beats another if it is no slower and no less accurate, and better in one of the two. What failed is on no front.
     """
-    front: list[Spot] = []
+    front: list[Setting] = []
     for spot in sorted((each for each in spots if math.isfinite(each.error)), key=lambda each: each[1:]):
         if not front or spot.error < front[-1].error or spot[1:] == front[-1][1:]:
             front.append(spot)
     return front
 
 
-def fastest_as_good(spots: Sequence[Spot], error: float) -> Spot | None:
+def fastest_as_good(spots: Sequence[Setting], error: float) -> Setting | None:
     """Return the fastest spot whose error is no larger; None if none is as good."""
     return min((each for each in spots if each.error <= error), key=lambda each: each[1:], default=None)
 
 
-def best_as_fast(spots: Sequence[Spot], seconds: float) -> Spot | None:
+def best_as_fast(spots: Sequence[Setting], seconds: float) -> Setting | None:
     """Return the most accurate spot that takes no longer; None if none is as fast, or all that are failed."""
     known = [each for each in spots if each.seconds <= seconds and math.isfinite(each.error)]
     return min(known, key=lambda each: (each.error, each.seconds), default=None)
 
 
-def seconds_of_error(line: Sequence[Spot], error: float) -> float:
+def seconds_of_error(line: Sequence[Setting], error: float) -> float:
     """Return the time that a line of settings takes for an error [s], along its own Pareto front.
 
     Between two settings log t is linear in log error. An error larger than that of the fastest setting costs what that

@@ -15,7 +15,7 @@ from gns_pl.evaluation.chart.costs import cost_of_entry
 from gns_pl.evaluation.chart.entries import make_entries, runs_whole
 from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, EntryFacts, Plan, write_plan
 from gns_pl.evaluation.chart.points import points_of, rows_by_name
-from gns_pl.evaluation.chart.rows import Tables
+from gns_pl.evaluation.chart.tables import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
 from gns_pl.evaluation.report import run
 from gns_pl.evaluation.scenes import build_scenes

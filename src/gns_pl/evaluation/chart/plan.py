@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation.chart.rows import BatchRow, Place, RatioRow, RunRow, Table
+from gns_pl.evaluation.chart.tables import BatchRow, Environment, RatioRow, RunRow, Table
 from gns_pl.io.atomic import write_atomically
 from gns_pl.text import command
 
@@ -121,7 +121,7 @@ class Plan:
     entries: tuple[EntryFacts, ...]
     left_out: dict[str, dict[str, str]]
     beyond: dict[str, dict[str, str]]
-    places: dict[str, Place]
+    places: dict[str, Environment]
     placements: int
     pairs: tuple[tuple[float, float], ...]
     order: float
@@ -203,7 +203,7 @@ def read_plan(path: Path) -> Plan:
             raise ValueError("another format")
         content["scenes"] = tuple(SceneFacts(**each) for each in content["scenes"])
         content["entries"] = tuple(EntryFacts(**each) for each in content["entries"])
-        content["places"] = {device: Place(**each) for device, each in content["places"].items()}
+        content["places"] = {device: Environment(**each) for device, each in content["places"].items()}
         content["costs"] = {name: Cost(**each) for name, each in content["costs"].items()}
         content["pairs"] = tuple((float(coarse), float(fine)) for coarse, fine in content["pairs"])
         return Plan(**{**content, "law": tuple(content["law"])})

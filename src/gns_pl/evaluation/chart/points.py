@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gns_pl.evaluation.chart.front import Spot, break_even, pareto_front, seconds_of_error
+from gns_pl.evaluation.chart.front import Setting, break_even, pareto_front, seconds_of_error
 from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, RIVALS, Plan, SceneFacts
-from gns_pl.evaluation.chart.rows import Place, RunRow, Table
+from gns_pl.evaluation.chart.tables import Environment, RunRow, Table
 from gns_pl.metrics.laws import LAWS
 from gns_pl.solvers.trivial import FittedLaw, extrapolate
 
@@ -92,9 +92,9 @@ class Point:
         errors = {name: math.inf if math.isnan(value) else value for name, value in errors.items()}
         return max(errors.values()) if measure == "worse" else errors[measure]
 
-    def spot(self, measure: str) -> Spot:
+    def setting(self, measure: str) -> Setting:
         """Return where it lies by a key of `plan.MEASURES`."""
-        return Spot(self.name, self.seconds, self.error(measure))
+        return Setting(self.name, self.seconds, self.error(measure))
 
     @property
     def gives_flow(self) -> bool:
@@ -228,7 +228,7 @@ def law_point(
     scenes: Sequence[SceneFacts],
     seconds: float,
     data_seconds: float,
-    place: Place,
+    place: Environment,
 ) -> Point:
     """Return the point of a law of the aspect ratio, which gives the runout and nothing else.
 
@@ -259,7 +259,9 @@ def compared(points: Sequence[Point], rows: Mapping[str, Sequence[RunRow]], plan
         plan: of the chart.
     """
     whole = [each for each in points if each.gives_flow and each.scenes == len(plan.scenes)]
-    fronts = {measure: {spot.name for spot in pareto_front([p.spot(measure) for p in whole])} for measure in MEASURES}
+    fronts = {
+        measure: {spot.name for spot in pareto_front([p.setting(measure) for p in whole])} for measure in MEASURES
+    }
     found = []
     for each in points:
         if each.group in LEARNED and each.name in plan.costs:
@@ -267,7 +269,7 @@ def compared(points: Sequence[Point], rows: Mapping[str, Sequence[RunRow]], plan
             each = replace(each, data_seconds=cost.data_seconds, train_seconds=cost.train_seconds)
         measure = "worse" if each.gives_flow else "front"
         if each.group in (*LEARNED, "law") and math.isfinite(each.error(measure)):
-            line = [rival.spot(measure) for rival in rivals(rows, each.name)]
+            line = [rival.setting(measure) for rival in rivals(rows, each.name)]
             equal = seconds_of_error(line, each.error(measure))
             spent = each.data_seconds + each.train_seconds
             each = replace(each, equal_seconds=equal, break_even=break_even(spent, equal, each.seconds))

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from gns_pl.evaluation.chart.rows import RunRow
+from gns_pl.evaluation.chart.tables import RunRow
 from gns_pl.io.tables import write_table
 from gns_pl.solvers.selection import Record, read_records
 

@@ -24,7 +24,7 @@ import torch
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.converged import Converged
 from gns_pl.evaluation.chart.entries import scene_of
-from gns_pl.evaluation.chart.rows import Place, RatioRow, RunRow, Table
+from gns_pl.evaluation.chart.tables import Environment, RatioRow, RunRow, Table
 from gns_pl.io import write_trajectory
 from gns_pl.machine import available_cores, machine_name
 from gns_pl.solvers.selection import kind_of
@@ -39,7 +39,7 @@ def _session() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
 
 
-def place_of(device: str, threads: int) -> Place:
+def place_of(device: str, threads: int) -> Environment:
     """Return where this process measures.
 
     Args:
@@ -50,7 +50,7 @@ def place_of(device: str, threads: int) -> Place:
     if device == "cuda":
         machine = f"{torch.cuda.get_device_name()}, {machine}" if torch.cuda.is_available() else f"CUDA, {machine}"
     versions = " ".join(f"{name} {version(name)}" for name in PACKAGES)
-    return Place(machine, device, threads, f"python {platform.python_version()} {versions}", _session())
+    return Environment(machine, device, threads, f"python {platform.python_version()} {versions}", _session())
 
 
 @contextmanager
@@ -95,7 +95,7 @@ def measure_runs(
     entries: Sequence[Solver],
     scenes: Sequence[Converged],
     table: Table[RunRow],
-    places: Mapping[str, Place],
+    places: Mapping[str, Environment],
     *,
     placements: int,
     left_out: Mapping[str, Mapping[str, str]],
@@ -141,7 +141,7 @@ def measure_runs(
 
 
 def _measured(
-    entry: Solver, judged: Converged, seed: int, place: Place, first_seconds: float, file_seconds: float
+    entry: Solver, judged: Converged, seed: int, place: Environment, first_seconds: float, file_seconds: float
 ) -> RunRow:
     made, seconds = timed_run(entry, judged, seed)
     scene = scene_of(entry, judged)
@@ -155,7 +155,7 @@ def _measured(
     )  # fmt: skip
 
 
-def _is_there(table: Table[RunRow], entry: Solver, judged: Converged, seed: int, place: Place) -> bool:
+def _is_there(table: Table[RunRow], entry: Solver, judged: Converged, seed: int, place: Environment) -> bool:
     key = {
         "name": entry.name, "identity": entry.identity(), "scene": judged.scene.name, "judged": judged.identity,
         "placement": seed, "machine": place.machine, "device": place.device, "threads": place.threads,
@@ -177,7 +177,7 @@ def measure_ratios(
     scenes: Sequence[Converged],
     left_out: Mapping[str, Mapping[str, str]],
     table: Table[RatioRow],
-    places: Mapping[str, Place],
+    places: Mapping[str, Environment],
     *,
     turns: int,
     say: Callable[[str], None] = print,

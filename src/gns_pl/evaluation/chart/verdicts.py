@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from gns_pl.evaluation.chart.front import Spot, best_as_fast, fastest_as_good
+from gns_pl.evaluation.chart.front import Setting, best_as_fast, fastest_as_good
 from gns_pl.evaluation.chart.plan import LEARNED
 from gns_pl.evaluation.chart.points import Point, rivals
-from gns_pl.evaluation.chart.rows import RatioRow, RunRow
+from gns_pl.evaluation.chart.tables import RatioRow, RunRow
 from gns_pl.text import seconds
 
 TIE = 0.05
@@ -31,8 +31,8 @@ class Verdict:
 
     own: Point
     measure: str
-    as_good: Spot | None
-    as_fast: Spot | None
+    as_good: Setting | None
+    as_fast: Setting | None
     good_ratio: float | None
     fast_ratio: float | None
     in_turns: bool
@@ -94,7 +94,7 @@ def verdicts(
     for own in points:
         if own.group not in LEARNED:
             continue
-        line = [each.spot(measure) for each in rivals(rows, own.name)]
+        line = [each.setting(measure) for each in rivals(rows, own.name)]
         good, fast = fastest_as_good(line, own.error(measure)), best_as_fast(line, own.seconds)
         pairs = [(own.name, each.name) for each in (good, fast) if each is not None]
         by_good, by_fast = (

@@ -15,7 +15,7 @@ from gns_pl.io.tables import read_table, write_table
 
 
 @dataclass(frozen=True)
-class Place:
+class Environment:
     """Where something was measured.
 
     Attributes:
@@ -45,7 +45,7 @@ class RunRow:
         scene: its name.
         judged: hash of scene, frames and reference.
         placement: seed of the particles' places.
-        machine: as `Place`, like the next two.
+        machine: as `Environment`, like the next two.
         device: likewise.
         threads: likewise.
         dim: of what was run.
@@ -64,7 +64,7 @@ class RunRow:
         seconds: wall time of the run, warm.
         first_seconds: of the untimed run before, what is compiled in it included.
         file_seconds: for writing its frames to a file.
-        versions: as `Place`.
+        versions: as `Environment`.
         session: likewise.
     """
 
@@ -109,7 +109,7 @@ class RatioRow:
         other: name of the solver's.
         other_identity: its hash.
         judged: hash of all scenes.
-        machine: as `Place`, like the next one.
+        machine: as `Environment`, like the next one.
         threads: likewise.
         seconds: median wall time a scene [s].
         other_seconds: the same of the other.
@@ -142,14 +142,14 @@ class BatchRow:
         identity: likewise.
         judged: hash of the scenes.
         batch: number of scenes.
-        machine: as `Place`, like the next two.
+        machine: as `Environment`, like the next two.
         device: likewise.
         threads: likewise.
         how: in which way they ran at once.
         seconds: median wall time of all.
         scenes_per_second: batch over seconds.
         turns: timed.
-        versions: as `Place`.
+        versions: as `Environment`.
     """
 
     KEY: ClassVar = ("name", "identity", "judged", "batch", "machine", "device", "threads")

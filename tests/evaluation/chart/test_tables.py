@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.evaluation.chart.rows import RunRow, Table, Tables
+from gns_pl.evaluation.chart.tables import RunRow, Table, Tables
 from tests.evaluation.chart.made_up import row
 
 

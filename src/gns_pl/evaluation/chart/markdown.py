@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, Plan, SceneFacts
 from gns_pl.evaluation.chart.points import Point
-from gns_pl.evaluation.chart.rows import BatchRow, Place, RunRow
+from gns_pl.evaluation.chart.tables import BatchRow, Environment, RunRow
 from gns_pl.evaluation.chart.verdicts import Verdict, pace_of, percent
 from gns_pl.metrics.maps import MAP_CELL
 from gns_pl.metrics.measures import ARREST_SHARE
@@ -173,7 +173,7 @@ def _cost_cells(each: Point) -> tuple[str, ...]:
     return (f"`{each.name}`", *times, equal, scenes_of(each))
 
 
-def threads_of(place: Place) -> str:
+def threads_of(place: Environment) -> str:
     """Return how many threads a run had, in words."""
     return f"{place.threads} thread{'s' if place.threads > 1 else ''}"
 
