@@ -1,4 +1,4 @@
-"""What keeps a run within what sand can do: nothing where it is, and each promise kept where it is not."""
+"""What keeps a run within physical limits: nothing where it is, and each promise kept where it is not."""
 
 from __future__ import annotations
 

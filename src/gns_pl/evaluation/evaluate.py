@@ -138,7 +138,7 @@ def evaluate(
         out: folder for what is made; created.
         cache: folder in which MPM references are kept between evaluations.
         root: folder of the checkpoint's data set; None where the checkpoint says it is.
-        stabilise: arguments of `rollout.stabilise.stabilise`, by which the rollouts are kept within what sand can do.
+        stabilise: arguments of `rollout.stabilise.stabilise`, by which the rollouts are kept within physical limits.
         columns: name → {length, height} [m].
         scenes: scene files to run in the columns' place; None for the columns.
         split: of the checkpoint's data set, to judge in their place: "valid", "test", "train"; None for none.

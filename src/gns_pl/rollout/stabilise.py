@@ -1,4 +1,4 @@
-"""What keeps a run within what sand can do, without touching the network: wrappers around a step, each to be had alone.
+"""What keeps a run within physical limits, without touching the network: wrappers around a step, each to be had alone.
 
 Each undoes one way in which learned runs fail (`rollout.failure`): particles on top of each other, energy out of
 nothing, heaps that never rest. docs/stability.md has what each is worth.
@@ -28,7 +28,7 @@ def stabilise(
     min_distance: float = 0.0,
     energy_limiter: bool = False,
 ) -> Stepper:
-    """Return what makes the same steps, where these stay within what sand can do.
+    """Return what makes the same steps, where these stay within physical limits.
 
     A simulator whose steps are those of another program, and equal to them, comes back as it is.
 

@@ -102,7 +102,7 @@ def test_page_figure_and_table_are_drawn_from_the_tables(tmp_path: Path) -> None
     assert [path.name for path in made] == ["chart.md", "chart.csv", "chart.png", "chart.svg"]
     page = (tmp_path / "chart.md").read_text()
     assert "| **`good`** | 2 | 100 | 0.5 | 5.3 % | 1.3 % |" in page
-    assert "- `other` is not run: its walls were others." in page
+    assert "- `other` is not run: trained with other walls." in page
     assert page.count("### By ") == 3 and page.count("- `poor` errs by") == 3
     assert "- `poor` is run outside of its range on high: trained on low columns." in page
     assert "Fewer than five" in page and "| `poor` | 60 s | unknown |" in page
