@@ -59,7 +59,7 @@ def plan(**changes: Any) -> Plan:
         "command": "python benchmark.py",
         "scenes": SCENES,
         "entries": tuple(EntryFacts(n, s[0], f"of {n}", "cpu", s[3]) for n, s in SETTINGS.items()),
-        "left_out": {"other": {"low": "trained with other walls", "high": "its walls were others"}},
+        "left_out": {"other": {"low": "trained with other walls", "high": "trained with other walls"}},
         "beyond": {"poor": {"high": "trained on low columns"}},
         "places": {"cpu": PLACE},
         "placements": 2,
