@@ -12,8 +12,7 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.evaluation.placements import Placements
 from gns_pl.evaluation.run_report import ReportedRun, check_reporting, write_report
-from gns_pl.evaluation.scenes import build_scenes
-from gns_pl.evaluation.solver_alone import REPORTING
+from gns_pl.evaluation.solver_alone import REPORTING, configured_scenes
 from gns_pl.generation import reference_trajectory
 from gns_pl.io.tables import write_table
 from gns_pl.metrics.quantities import COMPARISONS, SUMMARY
@@ -77,15 +76,7 @@ def evaluate_solver(settings: Mapping[str, Any], label: str = "") -> dict[str, l
     policy = Policy(settings["stabilise"])
     solver = load_solver(settings["solver"], device=evaluation["device"], policy=policy, choice=choice)
     interval = choice["frame_interval"]
-    scenes = build_scenes(
-        evaluation["columns"],
-        evaluation["scenes"],
-        only=evaluation["only"],
-        domain=evaluation["domain"],
-        duration=evaluation["duration"],
-        interval=interval,
-        data=dict(settings["paper"]),
-    )
+    scenes = configured_scenes(evaluation, interval, dict(settings["paper"]))
     for name, scene in scenes.items():
         if (reason := solver.unsupported_reason(scene)) is not None:
             raise InputError(f"scene {name!r}: {solver.name}: {reason}")

@@ -49,15 +49,7 @@ def evaluate_mpm(settings: Mapping[str, Any], label: str = "") -> dict[str, Repo
         data, interval, out = _of_checkpoint(ckpt)
         mpm = dict(data["mpm"])
         cell_size = cell_size or mpm["cell_size"]
-    scenes = build_scenes(
-        evaluation["columns"],
-        evaluation["scenes"],
-        only=evaluation["only"],
-        domain=evaluation["domain"],
-        duration=evaluation["duration"],
-        interval=interval,
-        data=data,
-    )
+    scenes = configured_scenes(evaluation, interval, data)
     solver = MPMSolver("mpm", max(settings["choice"]["cells"]), mpm, cell_size=cell_size)
     cells = tuple(float(size) for size in evaluation["spread"])
     if any(not size > 0 for size in cells):
@@ -79,6 +71,22 @@ def evaluate_mpm(settings: Mapping[str, Any], label: str = "") -> dict[str, Repo
             write_trajectory(files[-1], run.trajectory)
     print("Made:", *files, sep="\n  ")
     return runs
+
+
+def configured_scenes(evaluation: Mapping[str, Any], interval: float, data: Mapping[str, Any]) -> dict[str, Scene]:
+    """Return name → scene, as conf/evaluation names them.
+
+    Args:
+        evaluation: the settings.
+        interval: time between frames [s].
+        data: whose gravity, material and walls the columns have.
+
+    Raises:
+        InputError: as `build_scenes`.
+    """
+    keys = ("only", "domain", "duration")
+    settings = {key: evaluation[key] for key in keys}
+    return build_scenes(evaluation["columns"], evaluation["scenes"], interval=interval, data=data, **settings)
 
 
 def _of_checkpoint(ckpt: str) -> tuple[dict[str, Any], float, Path]:

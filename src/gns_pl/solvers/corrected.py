@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -39,6 +39,11 @@ class CorrectedSolver(TrainedSolver):
         """What the corrector's file holds, read when first needed."""
         return load_corrector(find_corrector(self.path))
 
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the corrector's file, computed once: the provenance of every run has it."""
+        return file_sha256(self.file())
+
     @property
     def dim(self) -> int:  # type: ignore[override]
         """D."""
@@ -70,11 +75,11 @@ class CorrectedSolver(TrainedSolver):
 
     def identity(self) -> str:
         """Return a hash of the corrector's file and of the material point method's sources."""
-        return hashed([file_sha256(self.file()), solver_version()])
+        return hashed([self.sha256, solver_version()])
 
     def facts(self, scene: Scene) -> dict[str, object]:
         """Return name, version and the corrector's file."""
-        known = {"corrector": self.file().name, "corrector_sha256": file_sha256(self.file())}
+        known = {"corrector": self.file().name, "corrector_sha256": self.sha256}
         return {"solver": self.name, "version": gns_pl.__version__, **known}
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
@@ -84,29 +89,17 @@ class CorrectedSolver(TrainedSolver):
         trajectory = corrected_run(self.content.corrector, start, self.num_steps(reduction.scene))
         return reduction.lift(trajectory if interval is None else trajectory.resampled(interval, scene.duration))
 
-    def record(
-        self,
-        scenes: Sequence[Scene],
-        paths: Sequence[Path],
-        *,
-        interval: float,
-        seed: int,
-        monitor: bool,
-        rank: int = 0,
-    ) -> None:
-        """Run scenes into files, frame by frame; arguments and errors as those of `Solver.record`.
+    def record_one(self, scene: Scene, path: Path, *, interval: float, seed: int, monitor: bool) -> None:
+        """Run a scene into its file, frame by frame; arguments and errors as those of `Solver.record`.
 
         A broken run goes on from its last saved state, to the bits of a single run. Frames are one correction apart,
         whatever `interval` is.
         """
-        for scene, path in zip(scenes, paths, strict=True) if rank == 0 else ():
-            reduction = self.reduced(scene)
-            start = self.start(reduction.scene, seed, {**self.facts(scene), "seed": seed})
-            recording = Recording.of(path, start, reduction, self.num_steps(reduction.scene), stateful=True)
-            if recording.is_done:
-                print(f"{path}: already complete")
-                continue
-            frames = corrected_frames(
-                self.content.corrector, start, recording.made + recording.num_steps, recording.saved
-            )
-            recording.write(frames, f"{scene.name}: {self.name}", {})
+        reduction = self.reduced(scene)
+        start = self.start(reduction.scene, seed, {**self.facts(scene), "seed": seed})
+        recording = Recording.of(path, start, reduction, self.num_steps(reduction.scene), stateful=True)
+        if recording.is_done:
+            print(f"{path}: already complete")
+            return
+        frames = corrected_frames(self.content.corrector, start, recording.made + recording.num_steps, recording.saved)
+        recording.write(frames, f"{scene.name}: {self.name}", {})

@@ -67,6 +67,12 @@ class LearnedSolver(TrainedSolver):
         return checkpoint
 
     @cached_property
+    def sha256(self) -> str:
+        """Hash of the checkpoint's file, computed once: the provenance of every run has it; "" without a file."""
+        file = self.file()
+        return "" if file is None else file_sha256(file)
+
+    @cached_property
     def stepper(self) -> Stepper:
         """What makes the steps."""
         return self.policy.stepper(self.checkpoint)
@@ -102,14 +108,12 @@ class LearnedSolver(TrainedSolver):
 
     def identity(self) -> str:
         """Return a hash of the checkpoint and of how it is run."""
-        file = self.file()
-        weights = "" if file is None else file_sha256(file)
-        return hashed([weights, gns_pl.__version__, dict(self.policy.stabilise)])
+        return hashed([self.sha256, gns_pl.__version__, dict(self.policy.stabilise)])
 
     def facts(self, scene: Scene) -> dict[str, object]:
         """Return name, version, the checkpoint and how it is run."""
         file = self.file()
-        known = {} if file is None else {"checkpoint": file.name, "checkpoint_sha256": file_sha256(file)}
+        known = {} if file is None else {"checkpoint": file.name, "checkpoint_sha256": self.sha256}
         return {
             "solver": self.name,
             "version": gns_pl.__version__,

@@ -164,27 +164,14 @@ class MPMSolver(Solver):
         """Return the solver on another device; arguments and errors as those of `Solver.on`."""
         return self if device in ("auto", "cpu") else replace(self, device=mpm_settings.choose_device(device))
 
-    def record(
-        self,
-        scenes: Sequence[Scene],
-        paths: Sequence[Path],
-        *,
-        interval: float,
-        seed: int,
-        monitor: bool,
-        rank: int = 0,
-    ) -> None:
-        """Run scenes into files, frame by frame; arguments and errors as those of `Solver.record`.
+    def record_one(self, scene: Scene, path: Path, *, interval: float, seed: int, monitor: bool) -> None:
+        """Run a scene into its file, frame by frame; arguments and errors as those of `Solver.record`.
 
         A broken run goes on from its last saved state, to the bits of a single run. On a GPU it runs whole.
         """
         if self.device == "cuda":
-            super().record(scenes, paths, interval=interval, seed=seed, monitor=monitor, rank=rank)
+            super().record_one(scene, path, interval=interval, seed=seed, monitor=monitor)
             return
-        for scene, path in zip(scenes, paths, strict=True) if rank == 0 else ():
-            self._record(scene, path, interval, seed)
-
-    def _record(self, scene: Scene, path: Path, interval: float, seed: int) -> None:
         from gns_pl.mpm.solver import advance_frames, start_run
 
         reduction, settings = self.reduced(scene), self.settings_of(scene)

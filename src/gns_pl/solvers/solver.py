@@ -146,8 +146,6 @@ class Solver(ABC):
     ) -> None:
         """Run scenes into files, as far as these are not complete, and print what became of each.
 
-        This default runs a scene whole and writes it at its end; one that can go on with a broken run overrides it.
-
         Args:
             scenes: what is simulated.
             paths: of their files.
@@ -161,12 +159,18 @@ class Solver(ABC):
             StorageError: the disk refuses.
         """
         for scene, path in zip(scenes, paths, strict=True) if rank == 0 else ():
-            facts = {**self.facts(scene), "seed": seed}
-            if is_complete(path, scene, facts, interval):
-                print(f"{path}: already complete")
-                continue
-            trajectory = self.run(scene, interval=interval, seed=seed, monitor=monitor)
-            write_whole(path, trajectory, facts)
+            self.record_one(scene, path, interval=interval, seed=seed, monitor=monitor)
+
+    def record_one(self, scene: Scene, path: Path, *, interval: float, seed: int, monitor: bool) -> None:
+        """Run a scene into its file; arguments and errors as those of `record`.
+
+        This default runs it whole and writes it at its end; a solver that can go on with a broken run overrides it.
+        """
+        facts = {**self.facts(scene), "seed": seed}
+        if is_complete(path, scene, facts, interval):
+            print(f"{path}: already complete")
+            return
+        write_whole(path, self.run(scene, interval=interval, seed=seed, monitor=monitor), facts)
 
 
 def characteristic_size(scene: Scene) -> float:
