@@ -101,7 +101,7 @@ def simulate_by_choice(
         scenes: what to simulate; their names name the files.
         out: folder; made.
         choice: what there is to choose from (conf/choice).
-        tolerance: largest error of the final 99 % runout, relative; None only explains.
+        tolerance: largest error, the worse of front and map, relative; None only explains.
         explain: show the solvers, and run none.
         solver: name of the one to take, whatever it is worth (`load_solver`); None chooses.
         cell_size: of "mpm" [m]; None takes the finest of the choice.

@@ -19,7 +19,7 @@ def row(name: str, group: str, error: float, seconds: float, **changes: Any) -> 
         "particles": 100, "steps": 10, "work": 1000.0, "front": 2.0 * (1 + error), "front_error": error,
         "map_error": abs(error) / 4, "arrest_error": error, "curve_error": abs(error) / 2,
         "height_error": -error / 3, "profile_error": abs(error), "seconds": seconds,
-        "first_seconds": 2 * seconds, "file_seconds": 0.01, "versions": PLACE.versions, "session": PLACE.session,
+        "cpu_seconds": seconds, "first_seconds": 2 * seconds, "file_seconds": 0.01, "versions": PLACE.versions, "session": PLACE.session,
     }  # fmt: skip
     return RunRow(**values | changes)
 
@@ -57,11 +57,13 @@ def plan(**changes: Any) -> Plan:
     """What `rows` are of."""
     values: dict[str, Any] = {
         "command": "python benchmark.py",
+        "kind": "plane",
         "scenes": SCENES,
         "entries": tuple(EntryFacts(n, s[0], f"of {n}", "cpu", s[3]) for n, s in SETTINGS.items()),
         "left_out": {"other": {"low": "trained with other walls", "high": "trained with other walls"}},
         "beyond": {"poor": {"high": "trained on low columns"}},
         "places": {"cpu": PLACE},
+        "more_threads": (),
         "placements": 2,
         "pairs": ((5.0, 10.0),),
         "order": 1.0,

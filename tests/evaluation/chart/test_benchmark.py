@@ -36,7 +36,7 @@ def settings(folder: Path, **changes: Any) -> dict[str, Any]:
     rough = {face: {"condition": "friction", "friction": 0.385} for face in ("x-", "x+", "z-", "z+")}
     values: dict[str, Any] = {
         "out": folder / "chart", "cache": folder / "cache", "ckpt": [], "choice": CHOICE, "frame_interval": 0.02,
-        "placements": 2, "threads": 1, "device": "cpu",
+        "placements": 2, "threads": [1], "device": "cpu",
         "reference": {"plane": {"cells_per_metre": [20, 15], "placements": 2}, "order": 1.7},
         "variants": {"points": {"cells": [3.0], "per_direction": [3]}, "courant": {"cells": [3.0], "numbers": [0.3]},
                      "whole": {"cells": [3.0]}},
@@ -146,7 +146,7 @@ def test_a_checkpoint_trained_anew_is_measured_anew(scene: Scene, flat: Path, tm
     ("changes", "message"),
     [
         ({"device": "tpu"}, "device must be auto, cpu or cuda, not 'tpu'"),
-        ({"threads": 10_000}, "threads must lie between 1 and"),
+        ({"threads": [10_000]}, "threads must lie between 1 and"),
         ({"extrapolate": {"pairs": [[4.0, 3.0]], "order": 1.0}}, "the coarser first"),
         ({"reference": {"plane": {}, "order": 1.0}}, "reference.plane: needs cells_per_metre and placements"),
         ({"variants": {"cell": [3.0]}}, "variants: takes cells"),

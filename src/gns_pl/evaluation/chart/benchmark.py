@@ -1,4 +1,4 @@
-"""`benchmark.py`: measure what is missing, draw, say it, and hand records to the choice."""
+"""`benchmark.py`: measure what is missing, draw, say it, hand records to the choice; and one page of several charts."""
 
 from __future__ import annotations
 
@@ -14,9 +14,14 @@ from gns_pl.text import command, override
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+    from gns_pl.evaluation.chart.plan import Plan
+    from gns_pl.evaluation.chart.tables import Tables
     from gns_pl.scene import Scene
 
-PLAN, RECORDS = "plan.json", "records.csv"
+RECORDS = "records.csv"
+
+DIGITS = 6
+"""Significant ones of numbers in tables that are published."""
 
 
 def benchmark_config(cfg: DictConfig) -> list[Path]:
@@ -37,16 +42,22 @@ def benchmark_config(cfg: DictConfig) -> list[Path]:
     )
     logger = logger if logger.pop("enabled") else None
     given = {key: settings.pop(key) for key in ("records", "publish")}
-    if settings.pop("from_table"):
+    from_table, sets = settings.pop("from_table"), settings.pop("sets")
+    if sets:
+        folders = [Path(folder) for folder in ([sets] if isinstance(sets, str) else sets)]
+        return draw_overview(folders, Path(out), records=given["records"])
+    if from_table:
         return finish(Path(out), logger=logger, **given)
     ckpt = settings["ckpt"] or []
     settings["ckpt"] = [ckpt] if isinstance(ckpt, str) else ckpt
     learned = [each for each in settings["ckpt"] if not is_corrector(each)]
     if learned:
         named_checkpoints(learned)  # refuses one that is not there before anything heavy is imported
-    for key in ("placements", "threads"):
-        value = settings[key]
-        if not (key == "threads" and value is None) and (not isinstance(value, int) or value < 1):
+    threads = settings["threads"]
+    settings["threads"] = list(threads) if isinstance(threads, list) and threads else [threads]
+    numbers = [number for number in settings["threads"] if number is not None]
+    for key, value in (("placements", settings["placements"]), *(("threads", number) for number in numbers)):
+        if not isinstance(value, int) or value < 1:
             raise InputError(f"{key} must be a whole number of at least 1, not {value!r}.")
     data = {**paper, "walls": {**paper["walls"], **({"y-": side_walls, "y+": side_walls} if side_walls else {})}}
     scenes = build_scenes(
@@ -89,6 +100,7 @@ def chart(
         StorageError: the disk refuses.
     """
     from gns_pl.evaluation.chart.measure import measure
+    from gns_pl.evaluation.chart.plan import PLAN
     from gns_pl.evaluation.chart.tables import Tables
     from gns_pl.generation.records import make_folder
     from gns_pl.io.lock import locked
@@ -107,7 +119,7 @@ def finish(
     Args:
         out: the folder.
         records: a table of `simulate.py`'s choice into which the runs go; None for `out`/records.csv alone.
-        publish: folder into which page, table and figure are copied; None for none.
+        publish: folder into which page, figures, plan and the chart's rows are written; None for none.
         logger: {offline, project} of W&B; None logs nothing.
 
     Returns:
@@ -116,24 +128,64 @@ def finish(
     Raises:
         InputError: nothing was measured there.
     """
-    from gns_pl.evaluation.chart.plan import read_plan
+    from gns_pl.evaluation.chart.plan import PLAN, read_plan
     from gns_pl.evaluation.chart.tables import Tables
 
     plan, tables = read_plan(out / PLAN), Tables(out)  # refused before anything heavy is imported
-    from gns_pl.evaluation.chart.draw import FIGURES, PAGE, POINTS, draw
-    from gns_pl.evaluation.chart.records import records_of, write_records
+    from gns_pl.evaluation.chart.draw import draw
 
     made = draw(plan, tables, out, logger=logger)
-    selectable = {entry.name for entry in plan.entries if entry.for_choice}
-    setups = {each.judged: each.setup for each in plan.scenes}
-    found = records_of((row for row in plan.runs(tables.runs) if row.name in selectable), setups)
-    for path in (out / RECORDS, *([Path(records)] if records else [])):
-        number = write_records(path, found)
-        goes_by = override("choice.records", path)
-        print(f"{path}: {number} records; {command('simulate')} … tolerance=… {goes_by} goes by them")
-        made.append(path)
+    made += [_hand_over(plan, tables, Path(path)) for path in (out / RECORDS, *([records] if records else []))]
     if publish:
         Path(publish).mkdir(parents=True, exist_ok=True)
-        made += [Path(shutil.copyfile(out / name, Path(publish) / name)) for name in (PAGE, POINTS, *FIGURES)]
+        shutil.copyfile(out / PLAN, Path(publish) / PLAN)
+        published = Tables(Path(publish))
+        published.runs.replace(plan.all_runs(tables.runs), DIGITS)
+        published.ratios.replace(plan.ratios(tables.ratios), DIGITS)
+        published.batches.replace(plan.batches(tables.batches), DIGITS)
+        made += [Path(publish) / PLAN, *draw(plan, published, Path(publish), logger=None)]
     print("Made:", *made, sep="\n  ")
+    return made
+
+
+def _hand_over(plan: Plan, tables: Tables, path: Path) -> Path:
+    """Put the runs of a chart into a table of records, those on other numbers of threads among them."""
+    from gns_pl.evaluation.chart.records import records_of, write_records
+
+    selectable = {entry.name for entry in plan.entries if entry.for_choice}
+    setups = {each.judged: each.setup for each in plan.scenes}
+    found = records_of((row for row in plan.all_runs(tables.runs) if row.name in selectable), setups)
+    goes_by = override("choice.records", path)
+    print(f"{path}: {write_records(path, found)} records; {command('simulate')} … tolerance=… {goes_by} goes by them")
+    return path
+
+
+def draw_overview(folders: Sequence[Path], out: Path, *, records: str | Path | None) -> list[Path]:
+    """Draw the charts of several folders again, and one page and figure of all; nothing is measured.
+
+    Args:
+        folders: each with the plan and the tables of a set of scenes.
+        out: folder of the page and the figure.
+        records: a table of `simulate.py`'s choice into which all runs go; None for none.
+
+    Returns:
+        The files made.
+
+    Raises:
+        InputError: nothing was measured in one of them.
+    """
+    from gns_pl.evaluation.chart.plan import PLAN, read_plan
+    from gns_pl.evaluation.chart.tables import Tables
+
+    charts = [
+        (folder, read_plan(folder / PLAN), Tables(folder)) for folder in folders
+    ]  # all there, before any is drawn
+    from gns_pl.evaluation.chart.draw import draw
+    from gns_pl.evaluation.chart.overview import Chart, draw_all
+
+    made = [path for folder, plan, tables in charts for path in draw(plan, tables, folder, logger=None)]
+    if records:
+        made += [_hand_over(plan, tables, Path(records)) for _, plan, tables in charts]
+    made += draw_all([Chart.of(folder, plan, tables) for folder, plan, tables in charts], out)
+    print("Made:", *dict.fromkeys(made), sep="\n  ")
     return made

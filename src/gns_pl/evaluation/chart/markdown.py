@@ -6,22 +6,23 @@ import math
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 
-from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, Plan, SceneFacts
+from gns_pl.evaluation.chart.plan import COMPARED, LEARNED, MEASURES, Plan, SceneFacts
 from gns_pl.evaluation.chart.points import Point
 from gns_pl.evaluation.chart.tables import BatchRow, Environment, RunRow
+from gns_pl.evaluation.chart.uncertain import INSIDE, equal_error
 from gns_pl.evaluation.chart.verdicts import Verdict, pace_of, percent
 from gns_pl.metrics.maps import MAP_CELL
 from gns_pl.metrics.measures import ARREST_SHARE
 from gns_pl.text import seconds
 
 HEAD = (
-    *("setting", "scenes", "particles", "seconds", "front", "map", "front: largest", "mean", "height", "arrest"),
-    *("front over time", "first run", "file"),
+    *("setting", "scenes", "particles", "seconds", "processor s", "front", "map", "front: largest", "mean", "height"),
+    *("arrest", "front over time", "first run", "file"),
 )
 
 
 def caption(found: Sequence[Verdict], points: Sequence[Point], band: float, measure: str) -> str:
-    """Return what stands under the figure: where MPM wins, where not, and what the trivial baselines do.
+    """Return who wins by one measure, and what the laws do, in words.
 
     Args:
         found: verdict on every trained solver.
@@ -36,17 +37,18 @@ def caption(found: Sequence[Verdict], points: Sequence[Point], band: float, meas
     if won:
         names = ", ".join(f"{each.own.name} ({pace_of(each.good_ratio or 1.0)})" for each in won)
         parts.append(
-            f"MPM wins, as accurate in less time, against {len(won)} of {len(found)} trained solvers: {names}."
+            f"A solver without a network wins, as accurate in less time, against {len(won)} of {len(found)} trained "
+            f"ones: {names}."
         )
     elif found:
-        parts.append(f"MPM wins against none of {len(found)} trained solvers.")
+        parts.append(f"No solver without a network wins against one of {len(found)} trained ones.")
     if level:
-        parts.append(f"Level with MPM as accurate: {', '.join(level)}.")
+        parts.append(f"Level with the fastest as accurate without one: {', '.join(level)}.")
     for each in lost:
-        ahead = (
-            "no MPM here is as accurate" if each.as_good is None else f"MPM as accurate {pace_of(each.good_ratio or 1)}"
-        )
-        parts.append(f"{each.own.name} is ahead: {ahead}.")
+        other = "nothing without a network is as accurate"
+        if each.as_good is not None:
+            other = f"{each.as_good.name}, as accurate, {pace_of(each.good_ratio or 1)}"
+        parts.append(f"{each.own.name} is ahead: {other}.")
     failed = [each.own.name for each in found if each.own.failed]
     if failed:
         parts.append(f"Failed: {', '.join(failed)}.")
@@ -69,6 +71,7 @@ def page(
     rows: Mapping[str, Sequence[RunRow]],
     batches: Sequence[BatchRow],
     said: Mapping[str, str],
+    elsewhere: Mapping[int, Mapping[str, float]],
 ) -> str:
     """Return chart.md.
 
@@ -79,6 +82,7 @@ def page(
         rows: name of every setting → its runs.
         batches: throughput.
         said: key of `MEASURES` → the `caption` by it; the last one is that of the figure.
+        elsewhere: other number of threads → name → seconds.
     """
     scenes = plan.scenes
     where = "; ".join(
@@ -90,13 +94,15 @@ def page(
     mixed = len({row.session for runs in rows.values() for row in runs}) > 1
     sittings = " (in several sittings here; ratios of trained solvers and MPM are from one)" if mixed else ""
     lines = [
-        "# Speed against accuracy",
+        f"# Speed against accuracy: {plan.title}",
         "",
         f"Made by `{plan.command}`; every number and sentence below is the script's. Measured on {where}.",
         "",
-        "![wall time, error, throughput, cost](chart.png)",
+        "![wall time and error, the worse of front and map](chart.png)",
         "",
         f"By {MEASURES['worse']}: {said['worse']}",
+        "",
+        "![by front, by map; throughput, cost](details.png)",
         "",
         "## What is measured",
         "",
@@ -113,16 +119,23 @@ def page(
         "reading checkpoints, writing files; the table has the first run, with what was compiled in it, and the "
         f"writing of a file apart. All give frames {scenes[0].interval:g} s apart. Slices are measured as slices.",
         "",
+        "## Against plain MPM of equal error",
+        "",
+        *headline(plan, points, rows),
+        "",
         "## Who wins",
         "",
-        "A trained solver that cannot run all scenes is compared with MPM on those which it ran.",
+        "A trained solver that cannot run all scenes is compared with others on those which it ran.",
         *_verdict_lines(found, said),
         "",
         "## All settings",
         "",
-        *_table(
-            HEAD,
-            [_point_cells(each) for each in points],
+        *markdown_table(
+            (*HEAD, *(f"seconds, {number} thread{'s' * (number > 1)}" for number in elsewhere)),
+            [
+                (*_point_cells(each), *(_plain(times.get(each.name, math.nan)) for times in elsewhere.values()))
+                for each in points
+            ],
         ),
         "",
         "Bold: on a Pareto front, by front, map or the worse, of what gives a flow and runs all scenes. `mpm_N`: cells "
@@ -135,7 +148,7 @@ def page(
         "Mean ± standard deviation of the front's error over the placements, in brackets the largest of them; then the "
         "mean map error.",
         "",
-        *_table(("setting", *(each.name for each in scenes)), _scene_cells(rows, points, scenes)),
+        *markdown_table(("setting", *(each.name for each in scenes)), _scene_cells(rows, points, scenes)),
     ]
     if batches:
         lines += ["", "## Many scenes at once", "", "Scenes a second, all frames in memory.", ""]
@@ -146,17 +159,43 @@ def page(
         "",
         "## What it cost before",
         "",
-        "N* = (data + training) / (MPM's time of equal error, along its line − own time): scenes until it has paid. "
-        "The error is the worse of front and map, of laws that of the front.",
+        "N* = (data + training) / (time of the cheapest of equal error without a network, plain MPM's along its line, "
+        "− own time): scenes until it has paid. The error is the worse of front and map, of laws that of the front.",
         "",
-        *_table(
-            ("solver", "data", "training", "own time", "MPM's of equal error", "N*", "known from"),
+        *markdown_table(
+            ("solver", "data", "training", "own time", "cheapest of equal error", "N*", "known from"),
             [(*_cost_cells(each), known.get(each.name, "")) for each in spent],
         ),
     ]
     if plan.told():
         lines += ["", "## What is not run, or outside of its range", "", *(f"- {line}." for line in plan.told())]
     return "\n".join([*lines, ""])
+
+
+def headline(plan: Plan, points: Sequence[Point], rows: Mapping[str, Sequence[RunRow]]) -> list[str]:
+    """Return the table of all solvers but plain MPM that give a flow, and what it says.
+
+    Args:
+        plan: of the chart.
+        points: of the chart, the fastest first.
+        rows: name of every setting → its runs.
+    """
+    table = []
+    for each in points:
+        if each.group in COMPARED:
+            ratios = [equal_error(plan, rows, each.name, measure) for measure in MEASURES]
+            words = ["–" if ratio is None else ratio.words() for ratio in ratios]
+            errors = (percent(each.front_error), percent(each.map_error), percent(each.height_error))
+            scenes = f"{each.scenes} of {len(plan.scenes)}"
+            table.append((f"`{each.name}`", scenes, *errors, seconds(each.seconds), seconds(each.cpu_seconds), *words))
+    head = ("solver", "scenes", "front", "map", "height", "wall", "processor", "by front", "by map", "by the worse")
+    return [
+        "How many times as long plain MPM takes for the error that a solver has, along its line of settings; in "
+        f"brackets the middle {INSIDE[1] - INSIDE[0]:g} % of what placements and the reference's own uncertainty leave "
+        "open. Below 1 MPM is faster. `> N`: no MPM of the chart is as accurate; the most accurate takes N times as long.",
+        "",
+        *markdown_table(head, table),
+    ]
 
 
 def _verdict_lines(found: Mapping[str, Sequence[Verdict]], said: Mapping[str, str]) -> list[str]:
@@ -202,8 +241,9 @@ def _point_cells(each: Point) -> tuple[str, ...]:
     apart = (_plain(each.first_seconds), _plain(each.file_seconds)) if each.gives_flow else ("–", "–")
     return (
         name, str(each.scenes), f"{each.particles:,}" if each.particles else "–", f"{each.seconds:.3g}",
-        percent(each.front_error) + failed, percent(each.map_error), _signed(each.largest_error), _signed(each.bias),
-        percent(each.height_error), percent(each.arrest_error), percent(each.curve_error), *apart,
+        f"{each.cpu_seconds:.3g}", percent(each.front_error) + failed, percent(each.map_error),
+        _signed(each.largest_error), _signed(each.bias), percent(each.height_error), percent(each.arrest_error),
+        percent(each.curve_error), *apart,
     )  # fmt: skip
 
 
@@ -233,10 +273,11 @@ def _batch_table(batches: Sequence[BatchRow]) -> list[str]:
     found = {(row.name, row.batch): f"{row.scenes_per_second:.3g}" for row in batches}
     how = {row.name: row.how for row in batches}
     cells = [(f"`{name}`", how[name], *(found.get((name, size), "–") for size in sizes)) for name in names]
-    return _table(("setting", "at once as", *map(str, sizes)), cells)
+    return markdown_table(("setting", "at once as", *map(str, sizes)), cells)
 
 
-def _table(head: Sequence[str], cells: Iterable[Sequence[str]]) -> list[str]:
+def markdown_table(head: Sequence[str], cells: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a table."""
     return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *cells)]
 
 

@@ -40,7 +40,7 @@ def measure(
     cache: Path,
     frame_interval: float,
     placements: int,
-    threads: int | None,
+    threads: Sequence[int | None],
     device: str,
     reference: Mapping[str, Any],
     variants: Mapping[str, Any],
@@ -63,7 +63,7 @@ def measure(
         cache: folder of reference runs.
         frame_interval: time between frames [s].
         placements: of each setting and scene, one timed run each.
-        threads: of a run; None for all cores.
+        threads: of a run; None for all cores. The chart is about the first number, of the others are times alone.
         device: "auto", "cpu" or "cuda".
         reference: {plane, space: {cells_per_metre, placements}, order}, as `converged.converged`.
         variants: of MPM, as `entries.mpm_variants`.
@@ -93,7 +93,8 @@ def measure(
         make_entries(ckpt, choice, variants, float(trivial["cells"]), stabilise, on, solver_on), scenes
     )
     spent = {entry.name: cost_of_entry(entry, costs) for entry in entries if entry.group in LEARNED}
-    with speed.on_threads(threads or available_cores()) as number:
+    first, *more = (number or available_cores() for number in threads)
+    with speed.on_threads(first) as number:
         places = {each: speed.place_of(each, number) for each in sorted({entry.device for entry in entries})}
         judged = []
         for scene in scenes:
@@ -115,11 +116,13 @@ def measure(
             fitted, law_seconds = fit_law(law, choice["mpm"], frame_interval, cache)
         plan = Plan(
             command=f"python {run()['command']}",
+            kind=kind,
             scenes=tuple(each.facts for each in judged),
             entries=tuple(EntryFacts(e.name, e.group, e.identity(), e.device, e.selectable) for e in entries),
             left_out=left_out,
             beyond=beyond,
             places=places,
+            more_threads=tuple(more),
             placements=placements,
             pairs=pairs,
             order=float(extrapolate["order"]),
@@ -148,6 +151,10 @@ def measure(
             together = [entry for entry in entries if can_batch(entry) and entry.name not in left_out]
             sizes, turns = list(batches["sizes"]), int(batches["turns"])
             measure_batches(together, judged, tables.batches, places, sizes=sizes, turns=turns, say=say)
+    for other in more:
+        with speed.on_threads(other) as number:
+            places = {each: speed.place_of(each, number) for each in places}
+            speed.measure_runs(entries, judged, tables.runs, places, placements=placements, left_out=left_out, say=say)
 
 
 def say(text: str) -> None:

@@ -17,13 +17,22 @@ from gns_pl.evaluation.chart.tables import BatchRow, Environment, RatioRow, RunR
 from gns_pl.io.atomic import write_atomically
 from gns_pl.text import command
 
-FORMAT, FORMAT_VERSION = "gns_pl chart", 2
+PLAN, PAGE = "plan.json", "chart.md"
+"""Files in the folder of a chart: this, and the page."""
+
+FORMAT, FORMAT_VERSION = "gns_pl chart", 3
 
 LEARNED = ("learned", "corrected", "hybrid")
 """Groups that were trained."""
 
-RIVALS = ("mpm", "retuned")
-"""Groups of the material point method, plain or with other scalars, which trained solvers are compared with."""
+PLAIN = ("mpm",)
+"""Groups of the material point method as it is; the time that it takes for an error is the measure of all others."""
+
+UNTRAINED = ("mpm", "retuned", "shallow")
+"""Groups of solvers without a network, which those with one are compared with."""
+
+COMPARED = (*LEARNED, "retuned", "shallow")
+"""Groups that are compared with plain MPM."""
 
 MEASURES = {
     "front": "final front, 99 % of the mass",
@@ -103,11 +112,13 @@ class Plan:
 
     Attributes:
         command: by which it was measured.
+        kind: of the scenes, "plane" or "space".
         scenes: all.
         entries: settings.
         left_out: name of a setting → scene that it cannot run → why.
         beyond: likewise, what it runs though it was made for other scenes.
         places: device → where was measured.
+        more_threads: other numbers of threads on which times were measured.
         placements: of each setting and scene.
         pairs: of cells that are extrapolated, the coarser first.
         order: to which.
@@ -117,17 +128,25 @@ class Plan:
     """
 
     command: str
+    kind: str
     scenes: tuple[SceneFacts, ...]
     entries: tuple[EntryFacts, ...]
     left_out: dict[str, dict[str, str]]
     beyond: dict[str, dict[str, str]]
     places: dict[str, Environment]
+    more_threads: tuple[int, ...]
     placements: int
     pairs: tuple[tuple[float, float], ...]
     order: float
     law: tuple[float, ...]
     law_seconds: float
     costs: dict[str, Cost]
+
+    @property
+    def title(self) -> str:
+        """What it is about, in words."""
+        what = "columns" if all(each.column for each in self.scenes) else f"{len(self.scenes)} scenes without a law"
+        return f"{what} in {'plane strain' if self.kind == 'plane' else 'space'}"
 
     def band(self, measure: str) -> float:
         """Return the uncertainty of the reference by a key of `MEASURES`: root mean square over the scenes."""
@@ -156,10 +175,19 @@ class Plan:
                     lines.append(f"`{name}` {what}{where}: {reason}")
         return lines
 
-    def runs(self, table: Table[RunRow]) -> list[RunRow]:
-        """Return the runs of the chart."""
+    def runs(self, table: Table[RunRow], threads: int | None = None) -> list[RunRow]:
+        """Return the runs of the chart.
+
+        Args:
+            table: of runs.
+            threads: one of `more_threads`; None for the number that the chart is about.
+        """
         judged = {each.judged for each in self.scenes}
-        return [row for row in self._ours(table) if row.judged in judged and row.placement < self.placements]
+        return [row for row in self._ours(table, threads) if row.judged in judged and row.placement < self.placements]
+
+    def all_runs(self, table: Table[RunRow]) -> list[RunRow]:
+        """Return the runs of the chart on all numbers of threads."""
+        return [row for number in (None, *self.more_threads) for row in self.runs(table, number)]
 
     def batches(self, table: Table[BatchRow]) -> list[BatchRow]:
         """Return the batches of the chart."""
@@ -177,11 +205,11 @@ class Plan:
             and (row.machine, row.threads) in here
         ]
 
-    def _ours(self, table: Iterable[Any]) -> list[Any]:
+    def _ours(self, table: Iterable[Any], threads: int | None = None) -> list[Any]:
         wanted = set()
         for each in self.entries:
             place = self.places[each.device]
-            wanted.add((each.name, each.identity, place.machine, place.device, place.threads))
+            wanted.add((each.name, each.identity, place.machine, place.device, threads or place.threads))
         return [row for row in table if (row.name, row.identity, row.machine, row.device, row.threads) in wanted]
 
 
@@ -205,6 +233,7 @@ def read_plan(path: Path) -> Plan:
         content["entries"] = tuple(EntryFacts(**each) for each in content["entries"])
         content["places"] = {device: Environment(**each) for device, each in content["places"].items()}
         content["costs"] = {name: Cost(**each) for name, each in content["costs"].items()}
+        content["more_threads"] = tuple(content["more_threads"])
         content["pairs"] = tuple((float(coarse), float(fine)) for coarse, fine in content["pairs"])
         return Plan(**{**content, "law": tuple(content["law"])})
     except FileNotFoundError as error:

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gns_pl.evaluation.chart.front import Setting, break_even, pareto_front, seconds_of_error
-from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, RIVALS, Plan, SceneFacts
+from gns_pl.evaluation.chart.derived import extrapolated
+from gns_pl.evaluation.chart.front import Setting, break_even, fastest_as_good, pareto_front, seconds_of_error
+from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, PLAIN, UNTRAINED, Plan, SceneFacts
 from gns_pl.evaluation.chart.tables import Environment, RunRow, Table
 from gns_pl.metrics.laws import LAWS
-from gns_pl.solvers.trivial import FittedLaw, extrapolate
+from gns_pl.solvers.trivial import FittedLaw
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Point:
         seconds: wall time of a scene [s]: median over the placements, mean over the scenes.
         seconds_low: the same of the fastest placement.
         seconds_high: of the slowest.
+        cpu_seconds: processor time, likewise.
         scenes: number of those that it ran.
         front_error: root mean square of the final front's relative error over scenes and placements.
         map_error: the same of the share of the final volume in the wrong place; NaN of what gives no flow.
@@ -47,8 +49,8 @@ class Point:
         versions: of packages.
         data_seconds: spent before on data [s]; NaN where nobody knows, 0 where nothing was.
         train_seconds: on training, likewise.
-        equal_seconds: what MPM takes on the same scenes for the same error (`front.seconds_of_error`), by the worse of
-            front and map, or of what gives no flow by the front [s].
+        equal_seconds: what the cheapest solver without a network takes on the same scenes for the same error, by the
+            worse of front and map, or of what gives no flow by the front [s].
         break_even: scenes after which it paid; infinite: never.
         first_seconds: median of the first, untimed runs, what was compiled in them included.
         file_seconds: median time to write the frames to a file.
@@ -60,6 +62,7 @@ class Point:
     seconds: float
     seconds_low: float
     seconds_high: float
+    cpu_seconds: float
     scenes: int
     front_error: float
     map_error: float
@@ -122,20 +125,52 @@ def points_of(plan: Plan, table: Table[RunRow]) -> list[Point]:
     return compared(points, rows, plan)
 
 
-def rivals(rows: Mapping[str, Sequence[RunRow]], name: str) -> list[Point]:
-    """Return the points of MPM on the scenes that a setting ran, so that both are judged by the same.
+def seconds_elsewhere(plan: Plan, table: Table[RunRow]) -> dict[int, dict[str, float]]:
+    """Return the times on other numbers of threads: number → name of a setting → seconds, as `Point.seconds`.
+
+    Args:
+        plan: of the chart.
+        table: of runs.
+    """
+    found: dict[int, dict[str, float]] = {}
+    for number in plan.more_threads:
+        rows: dict[str, list[RunRow]] = {}
+        for row in plan.runs(table, number):
+            rows.setdefault(row.name, []).append(row)
+        found[number] = {name: point_of(of_name).seconds for name, of_name in rows.items()}
+    return found
+
+
+def rivals(
+    rows: Mapping[str, Sequence[RunRow]], name: str, groups: Sequence[str] = UNTRAINED
+) -> dict[str, list[RunRow]]:
+    """Return the runs of other settings on the scenes that a setting ran, so that both are judged by the same.
 
     Args:
         rows: name of every setting → its runs.
         name: of the setting; one without runs is compared on all scenes.
+        groups: of the others.
+
+    Returns:
+        Name → runs, of those that ran all these scenes.
     """
     ran = {row.scene for row in rows.get(name, ())}
-    points = []
-    for of_name in rows.values():
+    found = {}
+    for other, of_name in rows.items():
         same = [row for row in of_name if not ran or row.scene in ran]
-        if of_name[0].group in RIVALS and {row.scene for row in same} >= ran:
-            points.append(point_of(same))
-    return points
+        if other != name and of_name[0].group in groups and {row.scene for row in same} >= ran:
+            found[other] = same
+    return found
+
+
+def line_of(rows: Mapping[str, Sequence[RunRow]], measure: str) -> list[Setting]:
+    """Return where settings lie by a key of `plan.MEASURES`.
+
+    Args:
+        rows: name of every setting → its runs.
+        measure: the key.
+    """
+    return [point_of(of_name).setting(measure) for of_name in rows.values()]
 
 
 def rows_by_name(plan: Plan, table: Table[RunRow]) -> dict[str, list[RunRow]]:
@@ -162,8 +197,10 @@ def point_of(rows: Sequence[RunRow]) -> Point:
         rows: its runs, of all scenes.
     """
     of_scene: dict[str, list[float]] = {}
+    busy: dict[str, list[float]] = {}
     for row in rows:
         of_scene.setdefault(row.scene, []).append(row.seconds)
+        busy.setdefault(row.scene, []).append(row.cpu_seconds)
     errors = [row.front_error for row in rows]
     first = rows[0]
     return Point(
@@ -172,6 +209,7 @@ def point_of(rows: Sequence[RunRow]) -> Point:
         seconds=statistics.mean(statistics.median(each) for each in of_scene.values()),
         seconds_low=statistics.mean(min(each) for each in of_scene.values()),
         seconds_high=statistics.mean(max(each) for each in of_scene.values()),
+        cpu_seconds=statistics.mean(statistics.median(each) for each in busy.values()),
         scenes=len(of_scene),
         front_error=_root_mean_square(errors),
         map_error=_root_mean_square([row.map_error for row in rows]),
@@ -195,33 +233,6 @@ def point_of(rows: Sequence[RunRow]) -> Point:
     )
 
 
-def extrapolated(coarse: Sequence[RunRow], fine: Sequence[RunRow], ratio: float, order: float) -> list[RunRow]:
-    """Return what two sizes of cells say of a cell of no size, placement by placement; the time is that of both.
-
-    Args:
-        coarse: runs on the coarser cells.
-        fine: on the finer ones, of the same scenes and placements; those of others are left out.
-        ratio: of the cells, above 1.
-        order: of the error.
-    """
-    others = {(row.scene, row.placement): row for row in coarse}
-    found, nothing = [], math.nan
-    for row in fine:
-        other = others.get((row.scene, row.placement))
-        if other is None:
-            continue
-        front = extrapolate(other.front, row.front, ratio, order)
-        true = row.front / (1 + row.front_error)
-        error = front / true - 1 if math.isfinite(front) else math.inf
-        name = f"extrapolated_{other.name.removeprefix('mpm_')}_{row.name.removeprefix('mpm_')}"
-        both = replace(row, name=name, group="extrapolated", front=front, front_error=error, map_error=nothing)
-        both = replace(both, curve_error=nothing, height_error=nothing, arrest_error=nothing, profile_error=nothing)
-        both = replace(both, file_seconds=nothing)
-        first_seconds = row.first_seconds + other.first_seconds
-        found.append(replace(both, seconds=row.seconds + other.seconds, first_seconds=first_seconds))
-    return found
-
-
 def law_point(
     name: str,
     law: Callable[[float], float],
@@ -242,11 +253,11 @@ def law_point(
     """
     errors = [law(each.aspect_ratio) * each.length / each.front - 1 for each in scenes]
     return Point(
-        name=name, group="law", seconds=seconds, seconds_low=seconds, seconds_high=seconds, scenes=len(scenes),
-        front_error=_root_mean_square(errors), map_error=math.nan, largest_error=max(errors, key=abs),
-        bias=statistics.mean(errors), height_error=math.nan, arrest_error=math.nan, profile_error=math.nan,
-        curve_error=math.nan, runs=len(errors), failed=0, dim=0, particles=0, dtype="float64", device="cpu",
-        machine=place.machine, threads=place.threads, versions=place.versions, data_seconds=data_seconds,
+        name=name, group="law", seconds=seconds, seconds_low=seconds, seconds_high=seconds, cpu_seconds=seconds,
+        scenes=len(scenes), front_error=_root_mean_square(errors), map_error=math.nan,
+        largest_error=max(errors, key=abs), bias=statistics.mean(errors), height_error=math.nan, arrest_error=math.nan,
+        profile_error=math.nan, curve_error=math.nan, runs=len(errors), failed=0, dim=0, particles=0, dtype="float64",
+        device="cpu", machine=place.machine, threads=place.threads, versions=place.versions, data_seconds=data_seconds,
     )  # fmt: skip
 
 
@@ -269,8 +280,10 @@ def compared(points: Sequence[Point], rows: Mapping[str, Sequence[RunRow]], plan
             each = replace(each, data_seconds=cost.data_seconds, train_seconds=cost.train_seconds)
         measure = "worse" if each.gives_flow else "front"
         if each.group in (*LEARNED, "law") and math.isfinite(each.error(measure)):
-            line = [rival.setting(measure) for rival in rivals(rows, each.name)]
-            equal = seconds_of_error(line, each.error(measure))
+            error = each.error(measure)
+            best = fastest_as_good(line_of(rivals(rows, each.name), measure), error)
+            along = seconds_of_error(line_of(rivals(rows, each.name, PLAIN), measure), error)
+            equal = along if best is None else min(along, best.seconds)
             spent = each.data_seconds + each.train_seconds
             each = replace(each, equal_seconds=equal, break_even=break_even(spent, equal, each.seconds))
         on_fronts = " ".join(measure for measure, names in fronts.items() if each.name in names)

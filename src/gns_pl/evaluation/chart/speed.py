@@ -81,14 +81,14 @@ def on_threads(number: int) -> Iterator[int]:
         numba.set_num_threads(held)
 
 
-def timed_run(entry: Solver, judged: Converged, seed: int) -> tuple[Trajectory | None, float]:
-    """Return what a setting makes of a scene, None if it fails, and the wall time [s]."""
-    began = time.perf_counter()
+def timed_run(entry: Solver, judged: Converged, seed: int) -> tuple[Trajectory | None, float, float]:
+    """Return what a setting makes of a scene, None if it fails, wall time, and this process's processor time [s]."""
+    began, busy = time.perf_counter(), time.process_time()
     try:
         made: Trajectory | None = entry.run(scene_of(entry, judged), interval=judged.interval, seed=seed)
     except InputError:  # a run that became unstable says so; what cannot run at all was refused before
         made = None
-    return made, time.perf_counter() - began
+    return made, time.perf_counter() - began, time.process_time() - busy
 
 
 def measure_runs(
@@ -127,7 +127,7 @@ def measure_runs(
         ours = [each for each in entries if any((judged.identity, n, each.name) in missing for n in range(placements))]
         first = {}
         for entry in ours:
-            made, seconds = timed_run(entry, judged, 0)
+            made, seconds, _ = timed_run(entry, judged, 0)
             first[entry.name] = seconds, _file_seconds(made, table.path.parent)
         for seed in range(placements):
             for entry in ours:
@@ -143,14 +143,14 @@ def measure_runs(
 def _measured(
     entry: Solver, judged: Converged, seed: int, place: Environment, first_seconds: float, file_seconds: float
 ) -> RunRow:
-    made, seconds = timed_run(entry, judged, seed)
+    made, seconds, cpu_seconds = timed_run(entry, judged, seed)
     scene = scene_of(entry, judged)
     particles, steps = entry.size(scene) or (0, 0)
     return RunRow(
         name=entry.name, group=entry.group, identity=entry.identity(), kind=kind_of(judged.scene),
         scene=judged.scene.name, judged=judged.identity, placement=seed, machine=place.machine, device=place.device,
         threads=place.threads, dim=entry.reduced(scene).scene.dim, dtype=entry.dtype, particles=particles,
-        steps=steps, work=entry.cost(scene), seconds=seconds, first_seconds=first_seconds,
+        steps=steps, work=entry.cost(scene), seconds=seconds, cpu_seconds=cpu_seconds, first_seconds=first_seconds,
         file_seconds=file_seconds, versions=place.versions, session=place.session, **judged.errors(made),
     )  # fmt: skip
 

@@ -6,7 +6,7 @@ is measured twice, and what another checkpoint, solver, machine or number of thr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
@@ -62,6 +62,7 @@ class RunRow:
         curve_error: mean absolute difference of the front over time, over its final value.
         profile_error: area between the final profiles of the surface over the deposit's.
         seconds: wall time of the run, warm.
+        cpu_seconds: processor time of all its threads, which another process disturbs less.
         first_seconds: of the untimed run before, what is compiled in it included.
         file_seconds: for writing its frames to a file.
         versions: as `Environment`.
@@ -93,6 +94,7 @@ class RunRow:
     curve_error: float
     profile_error: float
     seconds: float
+    cpu_seconds: float
     first_seconds: float
     file_seconds: float
     versions: str
@@ -205,6 +207,15 @@ class Table(Generic[R]):
     def find(self, **key: Any) -> R | None:
         """Return the row of a key, None if there is none."""
         return self._rows.get(tuple(key[name] for name in self._kind.KEY))
+
+    def replace(self, rows: Iterable[R], digits: int) -> None:
+        """Write rows in the place of all that there are, with so many significant digits.
+
+        Raises:
+            StorageError: the disk refuses; the file is as it was.
+        """
+        self._rows = {key_of(row): row for row in rows}
+        write_table(self.path, self._kind, self._rows.values(), digits)
 
     def add(self, *rows: R) -> None:
         """Add rows, or put them in the place of those of their keys; the file holds them when this returns.

@@ -1,4 +1,4 @@
-"""Who wins, by trained solver: the fastest material point run as accurate, and the most accurate one as fast."""
+"""Who wins, by trained solver: the fastest solver without a network as accurate, and the most accurate one as fast."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gns_pl.evaluation.chart.front import Setting, best_as_fast, fastest_as_good
 from gns_pl.evaluation.chart.plan import LEARNED
-from gns_pl.evaluation.chart.points import Point, rivals
+from gns_pl.evaluation.chart.points import Point, line_of, rivals
 from gns_pl.evaluation.chart.tables import RatioRow, RunRow
 from gns_pl.text import seconds
 
@@ -17,13 +17,13 @@ TIE = 0.05
 
 @dataclass(frozen=True)
 class Verdict:
-    """What MPM has to set against a trained solver.
+    """What solvers without a network have to set against a trained one.
 
     Attributes:
         own: the trained solver.
         measure: key of `plan.MEASURES` by which errors are meant.
-        as_good: the fastest MPM of equal or less error; None if none on the chart is as accurate.
-        as_fast: the most accurate MPM of equal or less time; None if none on the chart is as fast.
+        as_good: the fastest of them with equal or less error; None if none on the chart is as accurate.
+        as_fast: the most accurate of them in equal or less time; None if none on the chart is as fast.
         good_ratio: time of `as_good` over the own, as far as it is known measured in turns.
         fast_ratio: the same of `as_fast`.
         in_turns: both were measured in turns in one process.
@@ -39,16 +39,16 @@ class Verdict:
 
     @property
     def level(self) -> bool:
-        """Whether a material point run is as accurate and takes as long, within `TIE`."""
+        """Whether one without a network is as accurate and takes as long, within `TIE`."""
         return self.good_ratio is not None and abs(self.good_ratio - 1) < TIE
 
     @property
     def solver_wins(self) -> bool:
-        """Whether a material point run is as accurate and faster, by more than `TIE`."""
+        """Whether one without a network is as accurate and faster, by more than `TIE`."""
         return self.good_ratio is not None and self.good_ratio <= 1 - TIE
 
     def others(self) -> list[str]:
-        """Return the names of the material point runs that it is to be timed with in turns; none for what failed."""
+        """Return the names of those that it is to be timed with in turns; none for what failed."""
         spots = () if self.own.failed else (self.as_good, self.as_fast)
         return list(dict.fromkeys(spot.name for spot in spots if spot is not None))
 
@@ -59,19 +59,19 @@ class Verdict:
         if self.own.failed:
             return f"`{self.own.name}` failed in {self.own.failed} of {self.own.runs} runs"
         if self.as_good is None:
-            good = "no MPM of the chart is as accurate"
+            good = "nothing without a network is as accurate"
         else:
             pace = pace_of(self.good_ratio or 1.0)
-            good = f"the fastest MPM as accurate, `{self.as_good.name}` ({percent(self.as_good.error)}), {pace}"
+            good = f"the fastest as accurate without one, `{self.as_good.name}` ({percent(self.as_good.error)}), {pace}"
         if self.as_fast is None:
-            fast = "no MPM of the chart is as fast"
+            fast = "nothing without one is as fast"
         elif self.as_good == self.as_fast:
-            fast = "and no MPM as fast is more accurate"
+            fast = "and none as fast is more accurate"
         else:
             factor = self.as_fast.error / error if error else float("inf")
             compared = f"{factor:.2g} times as much" if factor >= 1 else f"{1 / factor:.2g} times less"
             off = f"{percent(self.as_fast.error)}, {compared}"
-            fast = f"the most accurate MPM as fast, `{self.as_fast.name}`, errs by {off}"
+            fast = f"the most accurate as fast, `{self.as_fast.name}`, errs by {off}"
         return f"{own}: {good}; {fast}"
 
 
@@ -81,7 +81,7 @@ def verdicts(
     ratios: Iterable[RatioRow] = (),
     measure: str = "worse",
 ) -> list[Verdict]:
-    """Return a verdict on every trained solver, each against MPM on the scenes that it ran.
+    """Return a verdict on every trained solver, each against those without a network on the scenes that it ran.
 
     Args:
         points: of the chart.
@@ -94,7 +94,7 @@ def verdicts(
     for own in points:
         if own.group not in LEARNED:
             continue
-        line = [each.setting(measure) for each in rivals(rows, own.name)]
+        line = line_of(rivals(rows, own.name), measure)
         good, fast = fastest_as_good(line, own.error(measure)), best_as_fast(line, own.seconds)
         pairs = [(own.name, each.name) for each in (good, fast) if each is not None]
         by_good, by_fast = (

@@ -1,0 +1,211 @@
+"""How often `simulate.py tolerance=…` keeps its promise: every choice is run from placements that no table has seen.
+
+    python benchmarks/promise.py                 # measure what docs/promise.csv lacks; write into docs/simulate.md
+    python benchmarks/promise.py --from-table    # write the table again
+
+Scenes are those of the chart (conf/evaluation), and columns between its two, of which no solver was measured. The
+solver is chosen as `simulate.py` chooses it, by the package's records; its run is judged as the chart judges, by the
+worse of front and map, against the same references. A promise holds if the largest error of three placements is within
+the tolerance. Where no error is promised (the scene is like none that was measured), what was chosen is judged too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from gns_pl.errors import InputError
+from gns_pl.evaluation.chart.converged import Converged, converged
+from gns_pl.evaluation.chart.entries import scene_of
+from gns_pl.evaluation.chart.speed import timed_run
+from gns_pl.evaluation.scenes import build_scenes
+from gns_pl.io.tables import read_table, write_table
+from gns_pl.scene import Scene
+from gns_pl.solvers.catalogue import make_solvers
+from gns_pl.solvers.selection import RECORDS, choose, estimate, kind_of, read_records
+
+ROOT = Path(__file__).parents[1]
+TABLE, PAGE = ROOT / "docs" / "promise.csv", ROOT / "docs" / "simulate.md"
+TOLERANCES = (0.2, 0.1, 0.07, 0.05, 0.03)
+SEEDS = (100, 101, 102)  # the chart's placements begin at 0
+BETWEEN = {"column_1.2": (0.383, 0.46), "column_1.6": (0.33, 0.528)}  # length and height [m]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A choice and what became of it.
+
+    Attributes:
+        scene: its name.
+        kind: "plane" or "space".
+        tolerance: that was asked for.
+        solver: chosen; "" where none meets the tolerance.
+        expected: error; NaN where none is promised.
+        front_error: the largest of the placements, relative, signed.
+        map_error: the largest.
+        expected_seconds: of a run.
+        seconds: the mean.
+    """
+
+    scene: str
+    kind: str
+    tolerance: float
+    solver: str
+    expected: float
+    front_error: float
+    map_error: float
+    expected_seconds: float
+    seconds: float
+
+    @property
+    def error(self) -> float:
+        """The worse of front and map."""
+        return max(abs(self.front_error), self.map_error)
+
+    @property
+    def outcome(self) -> str:
+        """What became of it, in a word."""
+        if not self.solver:
+            return "refused"
+        within = self.error <= self.tolerance
+        if self.expected != self.expected:
+            return "unpromised, within" if within else "unpromised, beyond"
+        return "held" if within else "broken"
+
+
+def settings(*overrides: str) -> dict[str, Any]:
+    """Return the settings of benchmark.py."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base=None):
+        return OmegaConf.to_container(compose("benchmark", overrides=list(overrides)), resolve=True)  # type: ignore[return-value]
+
+
+def scenes_of(config: Mapping[str, Any], *, between: bool) -> list[Scene]:
+    """Return the scenes of a set, and the columns between."""
+    evaluation, walls, side = config["evaluation"], config["paper"]["walls"], config["side_walls"]
+    data = {**config["paper"], "walls": {**walls, **({"y-": side, "y+": side} if side else {})}}
+    columns = {**evaluation["columns"]}
+    if between:
+        columns |= {name: {"length": size[0], "height": size[1]} for name, size in BETWEEN.items()}
+    found = build_scenes(
+        columns,
+        evaluation["scenes"],
+        only=None,
+        domain=evaluation["domain"],
+        duration=evaluation["duration"],
+        interval=config["frame_interval"],
+        data=data,
+    )
+    return list(found.values())
+
+
+def judged_scenes() -> Iterator[tuple[Scene, Converged]]:
+    """Yield every scene with its reference, which is run where it is not kept."""
+    for overrides, between in (
+        (("evaluation=general",), False),
+        (("side_walls=null",), True),
+        ((), True),
+    ):
+        config = settings(*overrides)
+        for scene in scenes_of(config, between=between):
+            yield (
+                scene,
+                converged(
+                    scene,
+                    mpm=config["choice"]["mpm"],
+                    order=config["reference"]["order"],
+                    interval=config["frame_interval"],
+                    cache=ROOT / config["cache"],
+                    **config["reference"][kind_of(scene)],
+                ),
+            )
+
+
+def measure(known: list[Row]) -> list[Row]:
+    """Return all rows, measuring what is not known."""
+    solvers, records = make_solvers(settings()["choice"]), read_records(RECORDS)
+    there = {(row.scene, row.kind, row.tolerance): row for row in known}
+    for scene, reference in judged_scenes():
+        runs: dict[str, tuple[float, float, float]] = {}
+        for tolerance in TOLERANCES:
+            key = (scene.name, kind_of(scene), tolerance)
+            if key not in there:
+                there[key] = row = judge(scene, reference, tolerance, estimate(scene, solvers, records), runs)
+                print(f"{row.scene} ({row.kind}) {tolerance:g}: {row.solver or 'none'} {row.error:.3f} {row.outcome}")
+                write_table(TABLE, Row, there.values(), digits=4)
+    return list(there.values())
+
+
+def judge(scene: Scene, reference: Converged, tolerance: float, options: Any, runs: dict[str, Any]) -> Row:
+    """Return what becomes of a tolerance; `runs` holds those of solvers that were chosen for the scene before."""
+    nothing = float("nan")
+    try:
+        option, _ = choose(options, tolerance)
+    except InputError:
+        return Row(scene.name, kind_of(scene), tolerance, "", nothing, nothing, nothing, nothing, nothing)
+    solver = option.solver
+    if solver.name not in runs:
+        solver.run(scene_of(solver, reference), interval=reference.interval, seed=SEEDS[0])  # compiles
+        timed = [timed_run(solver, reference, seed) for seed in SEEDS]
+        errors = [reference.errors(made) for made, _, _ in timed]
+        runs[solver.name] = (
+            max((each["front_error"] for each in errors), key=abs),
+            max(each["map_error"] for each in errors),
+            sum(seconds for _, seconds, _ in timed) / len(timed),
+        )
+    front, misplaced, seconds = runs[solver.name]
+    expected = nothing if option.error is None else option.error
+    time = nothing if option.seconds is None else option.seconds
+    return Row(scene.name, kind_of(scene), tolerance, solver.name, expected, front, misplaced, time, seconds)
+
+
+def table(rows: list[Row]) -> str:
+    """Return choices and outcomes as Markdown."""
+    names = list(dict.fromkeys((row.kind, row.scene) for row in rows))
+    found = {(row.kind, row.scene, row.tolerance): row for row in rows}
+    head = ["scene", *(f"{100 * tolerance:g} %" for tolerance in TOLERANCES)]
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for kind, scene in names:
+        cells = [cell(found[kind, scene, tolerance]) for tolerance in TOLERANCES]
+        lines.append(f"| `{scene}`, {'plane strain' if kind == 'plane' else 'space'} | {' | '.join(cells)} |")
+    number = {outcome: sum(row.outcome == outcome for row in rows) for outcome in {row.outcome for row in rows}}
+    promised = number.get("held", 0) + number.get("broken", 0)
+    said = (
+        f"**The promise held in {number.get('held', 0)} of {promised} cases.** "
+        f"{number.get('refused', 0)} tolerances were refused as below what any solver reaches"
+    )
+    free = number.get("unpromised, within", 0) + number.get("unpromised, beyond", 0)
+    if free:
+        said += f"; where no error was promised, {number.get('unpromised, within', 0)} of {free} were within it"
+    return "\n".join([f"{said}.", "", *lines])
+
+
+def cell(row: Row) -> str:
+    """Return an outcome in a table's cell."""
+    if not row.solver:
+        return "refused"
+    mark = {"held": "", "broken": "**broken** "}.get(row.outcome, "(no promise) ")
+    return f"{mark}`{row.solver}` {100 * row.error:.1f} %"
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--from-table", action="store_true", help="measure nothing")
+    known = read_table(TABLE, Row, "is no table of promises") if TABLE.exists() else []
+    rows = known if parser.parse_args().from_table else measure(known)
+    text = PAGE.read_text(encoding="utf-8")
+    marked = re.compile(r"(<!-- promise -->\n).*?(\n<!-- /promise -->)", re.DOTALL)
+    if not marked.search(text):
+        raise SystemExit(f"{PAGE}: has no <!-- promise --> to fill.")
+    PAGE.write_text(marked.sub(lambda match: match[1] + table(rows) + match[2], text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
