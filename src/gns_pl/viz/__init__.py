@@ -7,7 +7,7 @@ functions that draw. ParaView series need none of them.
 from importlib.util import find_spec
 
 from gns_pl.viz.animation import write_animation
-from gns_pl.viz.chart import Mark, plot_chart
+from gns_pl.viz.chart import Mark, Panel, plot_chart, plot_details
 from gns_pl.viz.evolution import plot_evolution
 from gns_pl.viz.laws import plot_laws
 from gns_pl.viz.learning_curve import plot_learning_curve
@@ -21,11 +21,13 @@ from gns_pl.viz.sweep import SweepPoint, plot_sweep
 
 __all__ = [
     "Mark",
+    "Panel",
     "SweepPoint",
     "interactive",
     "missing_packages",
     "plot_chart",
     "plot_curves",
+    "plot_details",
     "plot_evolution",
     "plot_laws",
     "plot_learning_curve",

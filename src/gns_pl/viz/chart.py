@@ -1,33 +1,52 @@
-"""The chart of speed against accuracy: errors over time, throughput of batches, error over what was spent before."""
+"""Figures of speed against accuracy: the headline over several sets of scenes, and the details of one set.
+
+Both are as wide as a page, 6.5 inches, and their text is large enough to be read on a telephone of 360 pixels. The legend
+stands above the panels; what the figure says in words is said by its page.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gns_pl.viz.labels import Label, write_labels
 from gns_pl.viz.plots import STYLE
 
 GROUPS = {
-    "mpm": ("MPM", "#0072B2", "o"),
+    "mpm": ("MPM, cells of 1/N", "#0072B2", "o"),
+    "retuned": ("retuned MPM", "#882255", "P"),
+    "shallow": ("depth-averaged", "#E69F00", "h"),
     "learned": ("learned", "#D55E00", "s"),
     "corrected": ("corrected MPM", "#009E73", "D"),
-    "retuned": ("MPM fitted to fine MPM", "#882255", "P"),
     "hybrid": ("hybrid", "#CC79A7", "v"),
-    "shallow": ("depth-averaged", "#8B4513", "h"),
-    "extrapolated": ("two MPM runs extrapolated", "#56B4E9", "x"),
-    "law": ("law of the aspect ratio (microseconds)", "#E69F00", "+"),
+    "extrapolated": ("two MPM extrapolated", "#56B4E9", "x"),
+    "law": ("law of runout", "#000000", "+"),
     "trivial": ("trivial", "#777777", "^"),
-    "other": ("other solvers", "#000000", "P"),
+    "other": ("other solvers", "#000000", "*"),
 }
-"""Group → legend, colour (Okabe and Ito's), marker. A group that is not here is drawn as "other"."""
+"""Group → legend, colour (Okabe and Ito's, and a wine red of Tol's), marker. A group that is not here is drawn as "other"."""
 
-LEAST, SOON = 2e-3, 2e-4
-"""Errors are drawn as at least this; what takes less time [s] is drawn at this, for the axes are logarithmic."""
+HEADLINE = "worse"
+"""The error of the headline, a key of `Mark.errors`: the worse of front and map."""
+
+ASIDE = ("law", "trivial")
+"""Groups that take no time worth the name: outside of the headline, at the left edge of the details."""
+
+WIDTH, LEFT, RIGHT = 6.5, 0.82, 0.12
+"""Width of a figure, and of its margins [inch]."""
+
+TEXT, SMALL, RADIUS = 10.4, 8.5, 3.2
+"""Sizes of text: 10.4 pt of 6.5 inches are 8 of 360 pixels; of the names in the details; radius of a mark [pt]."""
+
+LEAST = 2e-3
+"""Errors are drawn as at least this, for the axes are logarithmic."""
 
 
 @dataclass(frozen=True)
@@ -60,175 +79,260 @@ class Mark:
     spent: float
     pays: str
 
+    @property
+    def drawn_as(self) -> str:
+        """The group as which it is drawn."""
+        return self.group if self.group in GROUPS else "other"
 
-def plot_chart(
+
+@dataclass(frozen=True)
+class Panel:
+    """A set of scenes in the headline: title, settings, and relative uncertainty of the reference, a grey band."""
+
+    title: str
+    marks: Sequence[Mark]
+    band: float
+
+
+def plot_chart(panels: Sequence[Panel], paths: Sequence[Path], *, legend: bool = True) -> None:
+    """Draw the headline: a panel under the other for each set of scenes, the worse of front and map over wall time.
+
+    Named are the points of the Pareto front and all that was trained or fitted, or is no MPM. What gives a runout alone,
+    or takes no time, is left out.
+
+    Args:
+        panels: sets of scenes, the first on top.
+        paths: files to write; the ending says the format.
+        legend: above the panels.
+    """
+    _save(lambda: chart_figure(panels, legend=legend), paths)
+
+
+def plot_details(
     marks: Sequence[Mark],
-    rates: Mapping[str, tuple[str, Sequence[tuple[int, float]]]],
-    *,
     bands: Mapping[str, float],
     measures: Mapping[str, str],
-    title: str,
-    caption: str,
+    rates: Mapping[str, tuple[str, Sequence[tuple[int, float]]]],
     paths: Sequence[Path],
 ) -> None:
-    """Draw a panel for each measure, the last one large, two for throughput and costs, and the text under them.
+    """Draw all settings of one set of scenes: a panel for each measure, for throughput and for costs, if there are any.
 
     Args:
         marks: settings.
+        bands: measure → relative uncertainty of the reference.
+        measures: measure → in words; each is a panel, the first on top.
         rates: name → group, and batch and scenes per second of every size.
-        bands: measure → uncertainty of the reference, relative, as a grey band.
-        measures: in words, the one by which all is summed up the last.
-        title: over all.
-        caption: under all; wrapped.
-        paths: files to write; the ending says the format.
+        paths: files to write.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
+    _save(lambda: details_figure(marks, bands, measures, rates), paths)
 
-    lines = textwrap.wrap(caption, 175)
-    *others, last = measures
-    with mpl.rc_context(STYLE):
-        below = 0.62 + 0.16 * len(lines)
-        figure = Figure(figsize=(11.0, 12.2 + below))
-        grid = figure.add_gridspec(
-            3, 2, height_ratios=(1.35, 1, 0.8), hspace=0.22, wspace=0.16, left=0.07, right=0.985,
-            bottom=(below + 0.2) / figure.get_figheight(), top=1 - 0.95 / figure.get_figheight(),
-        )  # fmt: skip
-        main, rate_axes, cost_axes = (figure.add_subplot(grid[place]) for place in ((0, slice(None)), (2, 0), (2, 1)))
-        _draw_front(main, marks, last, bands[last], measures[last])
-        for number, measure in enumerate(others):
-            _draw_front(figure.add_subplot(grid[1, number]), marks, measure, bands[measure], measures[measure])
-        _draw_rates(rate_axes, rates)
-        _draw_costs(cost_axes, [mark for mark in marks if mark.spent > 0], last)
-        figure.suptitle(title, fontsize=9, y=1 - 0.12 / figure.get_figheight(), va="top")
-        handles, texts = main.get_legend_handles_labels()
-        place = 0.5, 1 - 0.3 / figure.get_figheight()
-        figure.legend(handles, texts, loc="upper center", bbox_to_anchor=place, ncols=5, fontsize=7, frameon=False)
-        figure.text(0.06, 0.012, "\n".join(lines), fontsize=7, va="bottom", ha="left")
+
+def chart_figure(panels: Sequence[Panel], *, legend: bool = True) -> Any:
+    """Return the headline as a figure of matplotlib; arguments as of `plot_chart`."""
+    kept = [[mark for mark in panel.marks if mark.group not in (*ASIDE, "extrapolated")] for panel in panels]
+    titles = [panel.title for panel in panels]
+    figure, every = _stack(titles, [2.85] * len(panels), _legend(sum(kept, []), panels) if legend else [])
+    for axes, panel, marks in zip(every, panels, kept, strict=True):
+        _draw_errors(axes, marks, HEADLINE, panel.band, named=_needs_name, size=TEXT)
+        axes.set_ylabel("worse of front and map")
+    return figure
+
+
+def details_figure(
+    marks: Sequence[Mark],
+    bands: Mapping[str, float],
+    measures: Mapping[str, str],
+    rates: Mapping[str, tuple[str, Sequence[tuple[int, float]]]],
+) -> Any:
+    """Return the details as a figure of matplotlib; arguments as of `plot_details`."""
+    bought = [mark for mark in marks if mark.spent > 0 and math.isfinite(mark.errors[HEADLINE])]
+    panels = [Panel("", marks, bands[measure]) for measure in measures]
+    drawn = {f"Error of the {words}": 4.4 for words in measures.values()}
+    drawn |= {"Throughput": 3.0} if rates else {}
+    drawn |= {"Spent before, and the scenes after which it has paid": 2.4} if bought else {}
+    figure, every = _stack(list(drawn), list(drawn.values()), _legend(marks, panels))
+    for axes, measure in zip(every, measures, strict=False):
+        _draw_errors(axes, marks, measure, bands[measure], named=lambda mark, measure: True, size=SMALL)
+        axes.set_ylabel("error")
+    rest = every[len(measures) :]
+    if rates:
+        _draw_rates(rest.pop(0), rates)
+    if bought:
+        _draw_costs(rest.pop(0), bought)
+    return figure
+
+
+def _needs_name(mark: Mark, measure: str) -> bool:
+    return mark.group != "mpm" or measure in mark.on_fronts
+
+
+def _save(make: Any, paths: Sequence[Path]) -> None:
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE | {"font.size": TEXT, "axes.titlesize": TEXT, "axes.labelsize": TEXT}):
+        figure = make()
         for path in paths:
             figure.savefig(path)
 
 
-def shown_group(mark: Mark) -> str:
-    """Return the group as which a setting is drawn."""
-    return mark.group if mark.group in GROUPS else "other"
+def _stack(titles: Sequence[str], heights: Sequence[float], handles: Sequence[Any]) -> tuple[Any, list[Any]]:
+    """Return a figure with titled axes of these heights [inch], one under the other, and a legend above in 3 columns."""
+    from matplotlib.figure import Figure
+
+    line, below, rows = 0.175, 0.52, math.ceil(len(handles) / 3)
+    letters = [f"({letter}) " if len(titles) > 1 else "" for letter in "abcdefgh"]
+    wrapped = [textwrap.wrap(letter + title, 72) for letter, title in zip(letters, titles, strict=False)]
+    legend = 0.06 + (line + 0.005) * rows
+    total = legend + sum(heights) + sum(0.14 + line * len(lines) + below for lines in wrapped)
+    figure = Figure(figsize=(WIDTH, total))
+    top, every = total - legend, []
+    for height, lines in zip(heights, wrapped, strict=True):
+        top -= 0.14 + line * len(lines) + height
+        every.append(figure.add_axes((LEFT / WIDTH, top / total, (WIDTH - LEFT - RIGHT) / WIDTH, height / total)))
+        every[-1].set_title("\n".join(lines), loc="left")
+        top -= below
+    if handles:
+        figure.legend(
+            handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1 - 0.03 / total), ncols=3, fontsize=TEXT,
+            borderaxespad=0, borderpad=0, labelspacing=0.25, handletextpad=0.4, columnspacing=1.2, handlelength=1.6,
+        )  # fmt: skip
+    return figure, every
 
 
-def _draw_front(axes: Any, every: Sequence[Mark], measure: str, band: float, words: str) -> None:
-    axes.axhspan(
-        LEAST / 2, max(band, LEAST / 2), color="0.92", linewidth=0, zorder=-2, label="the reference's own uncertainty"
-    )
-    marks = [mark for mark in every if np.isfinite(mark.errors[measure])]
-    named: list[tuple[str, tuple[float, float], str]] = []
-    for group, (legend, colour, marker) in GROUPS.items():
-        own = sorted((mark for mark in every if shown_group(mark) == group), key=lambda mark: mark.seconds)
-        if own:  # in every panel, so that the legend of one is that of all
-            face = {} if marker in "x+" else {"markerfacecolor": colour}
-            axes.plot([], [], color=colour, marker=marker, markersize=5, linestyle="none", label=legend, **face)
-        for mark in own:
-            if mark not in marks:
-                continue
-            place = max(mark.seconds, SOON), max(mark.errors[measure], LEAST)
-            named.append((mark.label, place, colour))
-            bars = [[max(0.0, mark.seconds - mark.low)], [max(0.0, mark.high - mark.seconds)]]
-            face = {} if marker in "x+" else {"markerfacecolor": "none" if mark.whole else colour}
-            axes.errorbar(
-                *place, xerr=bars, color=colour, marker=marker, markersize=5, elinewidth=0.6, linestyle="none", **face
-            )
-    front = sorted((mark for mark in marks if measure in mark.on_fronts), key=lambda mark: mark.seconds)
-    if front:
-        places = [(max(mark.seconds, SOON), max(mark.errors[measure], LEAST)) for mark in front]
-        axes.step(
-            *zip(*places, strict=True), where="post", color="black", linewidth=0.8, label="Pareto front", zorder=0
-        )
+def _legend(marks: Sequence[Mark], panels: Sequence[Panel]) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    shown = {mark.drawn_as for mark in marks}
+    handles: list[Any] = [
+        Line2D([], [], label=words, **_marker(group)) for group, (words, _, _) in GROUPS.items() if group in shown
+    ]
+    if any(mark.whole for mark in marks):
+        handles.append(Line2D([], [], label="run in 3D", **_marker("trivial", whole=True) | {"marker": "o"}))
+    if any(mark.on_fronts for mark in marks):
+        handles.append(Line2D([], [], color="black", linewidth=1.0, label="Pareto front"))
+    if any(panel.band > 0 for panel in panels):
+        handles.append(Patch(color="0.88", linewidth=0, label="reference uncertainty"))
+    return handles
+
+
+def _marker(group: str, *, whole: bool = False) -> dict[str, Any]:
+    _, colour, marker = GROUPS[group]
+    size = 2 * RADIUS * {"D": 0.85, "*": 1.4, "P": 1.15, "h": 1.15}.get(marker, 1.0)
+    style = {"color": colour, "marker": marker, "markersize": size, "linestyle": "none", "markeredgewidth": 0.5}
+    if marker in "x+":
+        return style | {"markeredgewidth": 1.4}
+    if whole:
+        return style | {"markerfacecolor": "white", "markeredgewidth": 1.1}
+    return style | {"markeredgecolor": "white"}
+
+
+def _draw_errors(axes: Any, every: Sequence[Mark], measure: str, band: float, *, named: Any, size: float) -> None:
+    marks = sorted((mark for mark in every if np.isfinite(mark.errors[measure])), key=lambda mark: mark.seconds)
+    slow = [mark for mark in marks if mark.group not in ASIDE] or marks
     axes.set(xscale="log", yscale="log", xlabel="time of a scene [s]")
-    axes.set_title(f"error: {words}", fontsize=8)
-    _percent_axis(axes)
-    axes.set_ylim(bottom=0.8 * max(LEAST, min([band, *(mark.errors[measure] for mark in marks)])))
-    axes.grid(alpha=0.25, linewidth=0.4)
-    if marks:
-        axes.set_xlim(right=3 * max(mark.seconds for mark in marks))
-        _write_names(axes, named)
+    if not marks:
+        return
+    left, right = min(mark.seconds for mark in slow) / 2, max(mark.seconds for mark in slow) * 2
+    early = [mark for mark in marks if mark.seconds < left]
+    edge = left / 1.6
+    if early:
+        left = edge / 1.6
+    errors = [max(mark.errors[measure], LEAST) for mark in marks]
+    bottom, top = 0.65 * min([*errors, *([max(band, LEAST)] if band > 0 else [])]), 1.6 * max(errors)
+    axes.set(xlim=(left, right), ylim=(bottom, top))
+    if band > 0:
+        axes.axhspan(bottom, band, color="0.88", linewidth=0, zorder=-2)
+
+    places = {mark.name: (edge if mark in early else mark.seconds, max(mark.errors[measure], LEAST)) for mark in marks}
+    lines = []
+    for mark in marks:
+        x, y = places[mark.name]
+        if mark in early:
+            head = {"arrowstyle": "->", "color": GROUPS[mark.drawn_as][1], "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
+            axes.annotate("", (left, y), xytext=(x, y), arrowprops=head, annotation_clip=False)
+            lines.append([(left, y), (x, y)])
+        else:
+            low, high = max(left, min(mark.low, x)), min(right, max(mark.high, x))
+            axes.plot([low, high], [y, y], color=GROUPS[mark.drawn_as][1], linewidth=0.9, zorder=1.9)
+            lines.append([(low, y), (high, y)])
+        axes.plot(x, y, **_marker(mark.drawn_as, whole=mark.whole))
+    front = [places[mark.name] for mark in marks if measure in mark.on_fronts]
+    if front:
+        corners = [(front[0][0], top), front[0]]
+        for x, y in front[1:]:
+            corners += [(x, corners[-1][1]), (x, y)]
+        corners.append((right, front[-1][1]))
+        axes.plot(*zip(*corners, strict=True), color="black", linewidth=1.0, zorder=1)
+        lines += [list(pair) for pair in zip(corners, corners[1:], strict=False)]
+    _log_axes(axes)
+    labels = [(mark.label, places[mark.name], mark.drawn_as) for mark in marks if mark.label and named(mark, measure)]
+    _write(axes, labels, places.values(), lines, size)
 
 
 def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, float]]]]) -> None:
-    named: list[tuple[str, tuple[float, float], str]] = []
+    labels, places, lines = [], [], []
     for name, (group, points) in rates.items():
-        _, colour, marker = GROUPS.get(group, GROUPS["other"])
-        sizes, speeds = zip(*sorted(points), strict=True)
-        axes.plot(sizes, speeds, color=colour, marker=marker, markersize=3, linewidth=0.8)
-        named.append((name, (sizes[-1], speeds[-1]), colour))
-    every = sorted({size for _, points in rates.values() for size, _ in points})
-    axes.set(yscale="log", xlabel="scenes at once", ylabel="scenes per second")
-    if every:
-        axes.set_xscale("log", base=2)
-        axes.set_xticks(every, [str(size) for size in every])
-        axes.set_xlim(right=every[-1] * 4)
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("")
-        _write_names(axes, sorted(named, key=lambda mark: mark[1][1]), right=True)
-    else:
-        axes.set_title("throughput was not measured")
-    axes.grid(alpha=0.25, linewidth=0.4)
+        known = group if group in GROUPS else "other"
+        line = sorted(points)
+        axes.plot(*zip(*line, strict=True), **_marker(known) | {"linestyle": "-", "linewidth": 1.0})
+        labels.append((shortened(name), line[-1], known))
+        places += line
+        lines += [list(pair) for pair in zip(line, line[1:], strict=False)]
+    sizes = sorted({size for size, _ in places})
+    axes.set(xscale="log", yscale="log", xlabel="scenes at once", ylabel="scenes per second")
+    axes.set_xlim(sizes[0] / 1.15, sizes[-1] * max(2.0, (sizes[-1] / sizes[0]) ** 0.4))
+    axes.set_ylim(0.6 * min(rate for _, rate in places), 1.6 * max(rate for _, rate in places))
+    _log_axes(axes, percent=False)
+    axes.set_xticks(sizes, [str(size) for size in sizes])
+    axes.set_xticks([], minor=True)
+    _write(axes, labels, places, lines, SMALL)
 
 
-def _draw_costs(axes: Any, every: Sequence[Mark], measure: str) -> None:
-    marks = [mark for mark in every if np.isfinite(mark.errors[measure])]
-    named: list[tuple[str, tuple[float, float], str]] = []
+def _draw_costs(axes: Any, marks: Sequence[Mark]) -> None:
+    places = {mark.name: (mark.spent, max(mark.errors[HEADLINE], LEAST)) for mark in marks}
     for mark in marks:
-        _, colour, marker = GROUPS[shown_group(mark)]
-        place = mark.spent, max(mark.errors[measure], LEAST)
-        axes.plot(*place, color=colour, marker=marker, markersize=4, linestyle="none")
-        named.append((f"{mark.name}: {mark.pays}", place, colour))
-    axes.set(yscale="log", xlabel="spent on data and training [s] (: scenes until it has paid)", ylabel="error")
-    if marks:
-        axes.set_xscale("log")
-        axes.set_xlim(right=60 * max(mark.spent for mark in marks))
-        _percent_axis(axes)
-        _write_names(axes, named)
-    else:
-        axes.set_title("nothing is known to have been spent")
-    axes.grid(alpha=0.25, linewidth=0.4)
+        axes.plot(*places[mark.name], **_marker(mark.drawn_as, whole=mark.whole))
+    axes.set(xscale="log", yscale="log", xlabel="spent on data and training [s]", ylabel="worse of front and map")
+    axes.set_xlim(min(mark.spent for mark in marks) / 4, 6 * max(mark.spent for mark in marks))
+    axes.set_ylim(0.6 * min(y for _, y in places.values()), 1.6 * max(y for _, y in places.values()))
+    _log_axes(axes)
+    labels = [(f"{shortened(mark.name)}: {mark.pays}", places[mark.name], mark.drawn_as) for mark in marks]
+    _write(axes, labels, places.values(), [], SMALL)
 
 
-def _percent_axis(axes: Any) -> None:
-    low, high = axes.get_ylim()
-    ticks = [tick for tick in (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0) if low <= tick <= high]
-    axes.set_yticks(ticks, [f"{100 * tick:g} %" for tick in ticks])
-    axes.minorticks_off()
-    axes.set_ylim(low, high)
+def shortened(label: str) -> str:
+    """Return a name as it is written in a figure: `mpm_10.2_c0.6` as 1/10.2 c0.6, for the legend says what it is."""
+    return "1/" + label.removeprefix("mpm_").replace("_", " ") if re.match(r"mpm_\d", label) else label
 
 
-def _write_names(axes: Any, named: Sequence[tuple[str, tuple[float, float], str]], *, right: bool = False) -> None:
-    """Write names beside their places, each where it covers no earlier one and no mark, as far as there is room.
+def _write(
+    axes: Any,
+    named: Iterable[tuple[str, tuple[float, float], str]],
+    marks: Iterable[tuple[float, float]],
+    lines: Sequence[Any],
+    size: float,
+) -> None:
+    from matplotlib.colors import to_rgb
 
-    Args:
-        axes: with their final limits.
-        named: text, place and colour of each.
-        right: only to the right of the places, in their order from below.
-    """
-    size = 5.5
-    to_points = 72 / axes.figure.dpi
-    spots = [tuple(to_points * axes.transData.transform(place)) for _, place, _ in named]
-    taken = [(x - 3, y - 3, x + 3, y + 3) for x, y in spots]
-    low, high = (to_points * axes.transAxes.transform((end, end))[0] for end in (0, 1))
-    sides = ((-1e4, -1e4, low, 1e4), (high, -1e4, 1e4, 1e4))
-    for (name, place, colour), (x, y) in zip(named, spots, strict=True):
-        width, height, boxes = 0.56 * size * len(name), 1.1 * size, []
-        lifts = range(0, 90, 6) if right else (4, -4, 10, -10, 16, -16, 22, -22, 28, -28)
-        for lift in lifts:
-            for left in (4.0 + lift / 4,) if right else (4.0, -4.0 - width):
-                boxes.append((x + left, y + lift - height / 2, x + left + width, y + lift + height / 2))
-        # What lies outside of the axes' sides counts as covered.
-        box = min(boxes, key=lambda candidate: sum(_overlap(candidate, other) for other in (*taken, *sides)))
-        taken.append(box)
-        offset = box[0] - x, (box[1] + box[3]) / 2 - y
-        axes.annotate(
-            name, place, xytext=offset, textcoords="offset points", fontsize=size, color=colour, va="center",
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.3} if abs(offset[1]) > 8 else None,
-        )  # fmt: skip
+    labels = []
+    for text, place, group in named:
+        red, green, blue = (0.72 * part for part in to_rgb(GROUPS[group][1]))  # pale letters are hard to read
+        labels.append(Label(shortened(text), place, (red, green, blue)))
+    ends = np.array(lines, dtype=float).reshape(-1, 2, 2)
+    write_labels(axes, labels, marks=np.array(list(marks)), lines=ends, size=size, radius=RADIUS)
 
 
-def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> float:
-    across = min(one[2], other[2]) - max(one[0], other[0])
-    return max(0.0, across) * max(0.0, min(one[3], other[3]) - max(one[1], other[1]))
+def _log_axes(axes: Any, *, percent: bool = True) -> None:
+    """Plain numbers at 1, 2 and 5 of every decade, or at 1 alone where it has many."""
+    for axis, (low, high), unit in ((axes.xaxis, axes.get_xlim(), False), (axes.yaxis, axes.get_ylim(), percent)):
+        decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)))
+        steps = (1, 2, 5) if math.log10(high / low) < 2.6 else (1,)
+        ticks = [step * 10.0**decade for decade in decades for step in steps]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        axis.set_ticks(ticks, [f"{100 * tick:g} %" if unit else f"{tick:g}" for tick in ticks])
+        minor = [step * 10.0**decade for decade in decades for step in range(1, 10)]
+        axis.set_ticks([tick for tick in minor if low <= tick <= high and tick not in ticks], minor=True)
+        axis.set_minor_formatter("")
+        axis.set_tick_params(which="minor", length=1.5, width=0.4)
+        axis.grid(which="major", alpha=0.3, linewidth=0.4)
