@@ -114,7 +114,9 @@ def _choose(
         foreign = np.hypot(*(marks - spot).T) > 0.5
         outside = (own[:, :2] < inside[:2]).any(1) | (own[:, 2:] > inside[2:]).any(1)
         cost = length + COVERED * (10 * outside + _overlap(own, mark_boxes).sum(1))
-        cost += NEARER_TO_ANOTHER * (np.hypot(*away.transpose(2, 0, 1))[:, foreign] < length[:, None]).sum(1).clip(max=3)
+        cost += NEARER_TO_ANOTHER * (np.hypot(*away.transpose(2, 0, 1))[:, foreign] < length[:, None]).sum(1).clip(
+            max=3
+        )
         cost += CROSSED_MARK * (_hit(leader, mark_boxes)[:, foreign] & (length > LEADER_FROM + radius)[:, None]).sum(1)
         if len(lines):
             cost += ON_LINE * _hit(lines, own).sum(0)

@@ -18,8 +18,8 @@ def row(name: str, group: str, error: float, seconds: float, **changes: Any) -> 
         "placement": 0, "machine": PLACE.machine, "device": "cpu", "threads": 1, "dim": 2, "dtype": "float32",
         "particles": 100, "steps": 10, "work": 1000.0, "front": 2.0 * (1 + error), "front_error": error,
         "map_error": abs(error) / 4, "arrest_error": error, "curve_error": abs(error) / 2,
-        "height_error": -error / 3, "profile_error": abs(error), "seconds": seconds,
-        "cpu_seconds": seconds, "first_seconds": 2 * seconds, "file_seconds": 0.01, "versions": PLACE.versions, "session": PLACE.session,
+        "height_error": -error / 3, "profile_error": abs(error), "seconds": seconds, "cpu_seconds": seconds,
+        "first_seconds": 2 * seconds, "file_seconds": 0.01, "versions": PLACE.versions, "session": PLACE.session,
     }  # fmt: skip
     return RunRow(**values | changes)
 

@@ -15,10 +15,12 @@ from gns_pl.evaluation.chart import converged as module
 from gns_pl.evaluation.chart.converged import OBSERVABLES, Converged, converged, uncertainty_of
 from gns_pl.evaluation.chart.kept import SHIPPED, read_kept, write_kept
 from gns_pl.evaluation.chart.observed import ERRORS, Observed, errors_of
+from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.io import read_trajectory
 from gns_pl.presets import FOLDER, preset
 from gns_pl.scene import Scene, read_scene
 from gns_pl.solvers.mpm import MPMSolver
+from gns_pl.solvers.selection import kind_of
 from tests.conftest import MPM
 from tests.evaluation.made_up import LENGTH, column, spreading, standing
 from tests.solvers.test_selection import column as rough_column
@@ -113,11 +115,17 @@ def test_the_package_s_references_are_of_its_scenes_and_settings(
     """Whoever changes a scene of the set, or the settings of the reference, has to make its file anew."""
     monkeypatch.setattr(module, "reference_trajectory", None)  # nothing is run
     settings = yaml.safe_load((FOLDER / "benchmark.yaml").read_text())["reference"]
-    mpm = preset("choice/default")["mpm"]
-    for name in preset("evaluation/general")["scenes"]:
-        fine = converged(
-            read_scene(name), mpm=mpm, interval=0.02, cache=tmp_path, order=settings["order"], **settings["space"]
-        )
-        assert fine.facts.front > 0 and fine.observed.volumes.ndim == 2
+    mpm, columns = preset("choice/default")["mpm"], preset("evaluation/columns")
+    how = {"only": None, "domain": columns["domain"], "duration": columns["duration"], "interval": 0.02}
+    scenes = [read_scene(name) for name in preset("evaluation/general")["scenes"]]
+    for sides in ({}, {"y-": {"condition": "slip"}, "y+": {"condition": "slip"}}):
+        paper = preset("data/_paper")
+        data = {**paper, "walls": {**paper["walls"], **sides}}
+        scenes += build_scenes(columns["columns"], None, data=data, **how).values()
+    for scene in scenes:
+        kept = settings[kind_of(scene)]
+        fine = converged(scene, mpm=mpm, interval=0.02, cache=tmp_path, order=settings["order"], **kept)
+        assert fine.facts.front > 0 and fine.observed.volumes.ndim == (1 if kind_of(scene) == "plane" else 2)
         assert max(fine.uncertainty[measure] for measure in ("front", "map")) < 0.15
+    assert len(scenes) == 10 == len(list(SHIPPED.glob("*.json")))
     assert not list(tmp_path.iterdir()) and all(path.stat().st_size < 20_000 for path in SHIPPED.glob("*.json"))

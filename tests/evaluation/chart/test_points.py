@@ -12,11 +12,11 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.draw import draw
 from gns_pl.evaluation.chart.markdown import caption, scenes_of
-from gns_pl.evaluation.chart.plan import read_plan, write_plan
-from gns_pl.evaluation.chart.points import points_of, rows_by_name
+from gns_pl.evaluation.chart.plan import EntryFacts, read_plan, write_plan
+from gns_pl.evaluation.chart.points import points_of, rows_by_name, seconds_elsewhere
 from gns_pl.evaluation.chart.tables import RatioRow, Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
-from tests.evaluation.chart.made_up import PLACE, folder, plan, row
+from tests.evaluation.chart.made_up import PLACE, folder, plan, row, rows
 
 
 def test_a_point_is_the_root_mean_square_and_the_median(tmp_path: Path) -> None:
@@ -79,11 +79,44 @@ def test_verdicts_follow_the_data_and_what_was_timed_in_turns(tmp_path: Path) ->
     assert (
         tie.level
         and not tie.solver_wins
-        and "Level with MPM as accurate: poor." in caption([tie], points, 0.01, "worse")
+        and "Level with the fastest as accurate without one: poor." in caption([tie], points, 0.01, "worse")
     )
     text = caption([good, poor], points, 0.01, "worse")
-    assert "MPM wins, as accurate in less time, against 1 of 2 trained solvers: poor (is 1.12 times faster)." in text
-    assert "good is ahead: no MPM here is as accurate." in text
+    assert (
+        "A solver without a network wins, as accurate in less time, against 1 of 2 trained ones: poor (is 1.12 times "
+        "faster)." in text
+    )
+    assert "good is ahead: nothing without a network is as accurate." in text
+
+
+def test_a_fitted_or_depth_averaged_solver_is_a_rival_and_plain_mpm_is_the_measure(tmp_path: Path) -> None:
+    """What trained solvers have to beat is the cheapest without a network; times are told in those of plain MPM."""
+    tables, many = folder(tmp_path), plan()
+    like = [each for each in rows() if each.name == "poor"]
+    errors = {"front_error": -0.05, "map_error": 0.01, "seconds": 0.2}
+    tables.runs.add(*(replace(each, name="fitted", group="retuned", identity="of fitted", **errors) for each in like))
+    entry = EntryFacts("fitted", "retuned", "of fitted", "cpu", True)
+    many = replace(many, entries=(*many.entries, entry))
+    found = {each.own.name: each for each in verdicts(points_of(many, tables.runs), rows_by_name(many, tables.runs))}
+    assert (
+        found["poor"].as_good is not None and found["poor"].as_good.name == "fitted" and set(found) == {"good", "poor"}
+    )
+    poor = next(each for each in points_of(many, tables.runs) if each.name == "poor")
+    assert poor.equal_seconds == 0.2
+    draw(many, tables, tmp_path, logger=None)
+    page = (tmp_path / "chart.md").read_text()
+    [line] = [each for each in page.splitlines() if each.startswith("| `fitted` | 2 of 2 |")]
+    assert "> 32" in line, "no plain MPM is as accurate; the finest takes 6.4 s, this one 0.2 s"
+
+
+def test_times_on_other_threads_stand_beside(tmp_path: Path) -> None:
+    tables, two = folder(tmp_path), plan(more_threads=(2,))
+    tables.runs.add(*(replace(each, threads=2, seconds=each.seconds / 2) for each in tables.runs))
+    assert seconds_elsewhere(two, tables.runs)[2]["mpm_10"] == pytest.approx(0.4)
+    assert next(each for each in points_of(two, tables.runs) if each.name == "mpm_10").seconds == pytest.approx(0.8)
+    draw(two, tables, tmp_path, logger=None)
+    page = (tmp_path / "chart.md").read_text()
+    assert "| seconds, 2 threads |" in page and len(two.all_runs(tables.runs)) == len(tables.runs)
 
 
 def test_a_plan_comes_back_as_it_was(tmp_path: Path) -> None:
@@ -99,9 +132,10 @@ def test_a_plan_comes_back_as_it_was(tmp_path: Path) -> None:
 
 def test_page_figure_and_table_are_drawn_from_the_tables(tmp_path: Path) -> None:
     made = draw(plan(), folder(tmp_path), tmp_path, logger=None)
-    assert [path.name for path in made] == ["chart.md", "chart.csv", "chart.png", "chart.svg"]
+    figures = ["chart.png", "chart.svg", "details.png", "details.svg"]
+    assert [path.name for path in made] == ["chart.md", "chart.csv", *figures]
     page = (tmp_path / "chart.md").read_text()
-    assert "| **`good`** | 2 | 100 | 0.5 | 5.3 % | 1.3 % |" in page
+    assert "| **`good`** | 2 | 100 | 0.5 | 0.5 | 5.3 % | 1.3 % |" in page
     assert "- `other` is not run: trained with other walls." in page
     assert page.count("### By ") == 3 and page.count("- `poor` errs by") == 3
     assert "- `poor` is run outside of its range on high: trained on low columns." in page

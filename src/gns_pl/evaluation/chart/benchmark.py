@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -137,15 +136,23 @@ def finish(
     made = draw(plan, tables, out, logger=logger)
     made += [_hand_over(plan, tables, Path(path)) for path in (out / RECORDS, *([records] if records else []))]
     if publish:
-        Path(publish).mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(out / PLAN, Path(publish) / PLAN)
-        published = Tables(Path(publish))
-        published.runs.replace(plan.all_runs(tables.runs), DIGITS)
-        published.ratios.replace(plan.ratios(tables.ratios), DIGITS)
-        published.batches.replace(plan.batches(tables.batches), DIGITS)
-        made += [Path(publish) / PLAN, *draw(plan, published, Path(publish), logger=None)]
+        made += _publish(plan, tables, Path(publish))
     print("Made:", *made, sep="\n  ")
     return made
+
+
+def _publish(plan: Plan, tables: Tables, folder: Path) -> list[Path]:
+    """Write into a folder what a chart is drawn from, rounded, and draw it there."""
+    from gns_pl.evaluation.chart.draw import draw
+    from gns_pl.evaluation.chart.plan import PLAN, write_plan
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_plan(folder / PLAN, plan)
+    published = type(tables)(folder)
+    published.runs.replace(plan.all_runs(tables.runs), DIGITS)
+    published.ratios.replace(plan.ratios(tables.ratios), DIGITS)
+    published.batches.replace(plan.batches(tables.batches), DIGITS)
+    return [folder / PLAN, *draw(plan, published, folder, logger=None, tell=False)]
 
 
 def _hand_over(plan: Plan, tables: Tables, path: Path) -> Path:
@@ -183,7 +190,7 @@ def draw_overview(folders: Sequence[Path], out: Path, *, records: str | Path | N
     from gns_pl.evaluation.chart.draw import draw
     from gns_pl.evaluation.chart.overview import Chart, draw_all
 
-    made = [path for folder, plan, tables in charts for path in draw(plan, tables, folder, logger=None)]
+    made = [path for folder, plan, tables in charts for path in draw(plan, tables, folder, logger=None, tell=False)]
     if records:
         made += [_hand_over(plan, tables, Path(records)) for _, plan, tables in charts]
     made += draw_all([Chart.of(folder, plan, tables) for folder, plan, tables in charts], out)

@@ -20,7 +20,7 @@ from gns_pl.viz import Mark, Panel, plot_chart, plot_details
 POINTS, FIGURES, DETAILS = "chart.csv", ("chart.png", "chart.svg"), ("details.png", "details.svg")
 
 
-def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | None) -> list[Path]:
+def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | None, tell: bool = True) -> list[Path]:
     """Write figures, page and table of points, print the caption, and log all to W&B if asked.
 
     Args:
@@ -28,6 +28,7 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
         tables: that hold its rows.
         out: folder.
         logger: {offline, project} of W&B; None logs nothing.
+        tell: print the caption.
 
     Returns:
         The files made.
@@ -51,9 +52,11 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     write_atomically(out / PAGE, page(plan, points, found, rows, batches, said, elsewhere).encode())
     write_table(out / POINTS, Point, points, digits=6)
     plot_chart([panel_of(plan, points)], figures)
-    bands = {measure: plan.band(measure) for measure in MEASURES}
-    plot_details(marks_of(plan, points), bands, MEASURES, rates, details)
-    print(f"\n{under}\n")
+    parts = {measure: words for measure, words in MEASURES.items() if measure != "worse"}
+    bands = {measure: plan.band(measure) for measure in parts}
+    plot_details(marks_of(plan, points), bands, parts, rates, details)
+    if tell:
+        print(f"\n{under}\n")
     made = [out / PAGE, out / POINTS, *figures, *details]
     if logger is not None:
         made += tracking.log_chart(points, figures[0], under, command=plan.command, out=out, **logger)

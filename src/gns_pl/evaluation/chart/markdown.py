@@ -192,7 +192,8 @@ def headline(plan: Plan, points: Sequence[Point], rows: Mapping[str, Sequence[Ru
     return [
         "How many times as long plain MPM takes for the error that a solver has, along its line of settings; in "
         f"brackets the middle {INSIDE[1] - INSIDE[0]:g} % of what placements and the reference's own uncertainty leave "
-        "open. Below 1 MPM is faster. `> N`: no MPM of the chart is as accurate; the most accurate takes N times as long.",
+        "open. Below 1 MPM is faster. `> N`: no MPM of the chart is as accurate; the most accurate "
+        "takes N times as long.",
         "",
         *markdown_table(head, table),
     ]

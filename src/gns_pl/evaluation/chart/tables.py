@@ -209,13 +209,16 @@ class Table(Generic[R]):
         return self._rows.get(tuple(key[name] for name in self._kind.KEY))
 
     def replace(self, rows: Iterable[R], digits: int) -> None:
-        """Write rows in the place of all that there are, with so many significant digits.
+        """Write rows in the place of all that there are, with so many significant digits; without rows, no file.
 
         Raises:
             StorageError: the disk refuses; the file is as it was.
         """
         self._rows = {key_of(row): row for row in rows}
-        write_table(self.path, self._kind, self._rows.values(), digits)
+        if self._rows:
+            write_table(self.path, self._kind, self._rows.values(), digits)
+        else:
+            self.path.unlink(missing_ok=True)
 
     def add(self, *rows: R) -> None:
         """Add rows, or put them in the place of those of their keys; the file holds them when this returns.
