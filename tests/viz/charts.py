@@ -65,7 +65,9 @@ def made(rows: list[tuple[str, str, float, dict[str, float]]], scenes: dict[str,
     """Return the marks of names, groups, times and errors."""
     measures = list(rows[0][3])
     fronts = {
-        measure: on_front([(name, seconds, errors[measure]) for name, group, seconds, errors in rows if group not in NO_FLOW])
+        measure: on_front(
+            [(name, seconds, errors[measure]) for name, group, seconds, errors in rows if group not in NO_FLOW]
+        )
         for measure in measures
     }
     return [

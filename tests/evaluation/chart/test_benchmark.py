@@ -100,6 +100,7 @@ def test_a_chart_goes_on_where_it_was_cut_and_feeds_the_choice(
         "chart.md",
         "chart.png",
         "chart.svg",
+        "chart_details.png",
     ]
     with (out / "chart.csv").open() as file:
         points = {each["name"]: each for each in csv.DictReader(file)}

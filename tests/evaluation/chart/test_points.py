@@ -99,7 +99,7 @@ def test_a_plan_comes_back_as_it_was(tmp_path: Path) -> None:
 
 def test_page_figure_and_table_are_drawn_from_the_tables(tmp_path: Path) -> None:
     made = draw(plan(), folder(tmp_path), tmp_path, logger=None)
-    assert [path.name for path in made] == ["chart.md", "chart.csv", "chart.png", "chart.svg"]
+    assert [path.name for path in made] == ["chart.md", "chart.csv", "chart.png", "chart.svg", "chart_details.png"]
     page = (tmp_path / "chart.md").read_text()
     assert "| **`good`** | 2 | 100 | 0.5 | 5.3 % | 1.3 % |" in page
     assert "- `other` is not run: trained with other walls." in page

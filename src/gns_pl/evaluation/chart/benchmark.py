@@ -120,7 +120,7 @@ def finish(
     from gns_pl.evaluation.chart.tables import Tables
 
     plan, tables = read_plan(out / PLAN), Tables(out)  # refused before anything heavy is imported
-    from gns_pl.evaluation.chart.draw import FIGURES, PAGE, POINTS, draw
+    from gns_pl.evaluation.chart.draw import DETAILS, FIGURES, PAGE, POINTS, draw
     from gns_pl.evaluation.chart.records import records_of, write_records
 
     made = draw(plan, tables, out, logger=logger)
@@ -134,6 +134,7 @@ def finish(
         made.append(path)
     if publish:
         Path(publish).mkdir(parents=True, exist_ok=True)
-        made += [Path(shutil.copyfile(out / name, Path(publish) / name)) for name in (PAGE, POINTS, *FIGURES)]
+        names = (PAGE, POINTS, *FIGURES, *DETAILS)
+        made += [Path(shutil.copyfile(out / name, Path(publish) / name)) for name in names]
     print("Made:", *made, sep="\n  ")
     return made

@@ -8,16 +8,16 @@ from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation import tracking
-from gns_pl.evaluation.chart.markdown import caption, page, scenes_of, threads_of
+from gns_pl.evaluation.chart.markdown import caption, page, scenes_of
 from gns_pl.evaluation.chart.plan import MEASURES, Plan
 from gns_pl.evaluation.chart.points import Point, points_of, rows_by_name
 from gns_pl.evaluation.chart.tables import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
 from gns_pl.io.atomic import write_atomically
 from gns_pl.io.tables import write_table
-from gns_pl.viz import Mark, plot_chart
+from gns_pl.viz import Mark, Panel, plot_chart, plot_details
 
-PAGE, POINTS, FIGURES = "chart.md", "chart.csv", ("chart.png", "chart.svg")
+PAGE, POINTS, FIGURES, DETAILS = "chart.md", "chart.csv", ("chart.png", "chart.svg"), ("chart_details.png",)
 
 
 def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | None) -> list[Path]:
@@ -55,15 +55,15 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
     rates: dict[str, tuple[str, list[tuple[int, float]]]] = {}
     for row in batches:
         rates.setdefault(row.name, (row.group, []))[1].append((row.batch, row.scenes_per_second))
-    where = "; ".join(f"{place.machine}, {threads_of(place)} a run" for place in plan.places.values())
-    title = f"{', '.join(each.name for each in plan.scenes)}: {where}"
-    figures = [out / name for name in FIGURES]
+    figures, details = [out / name for name in FIGURES], [out / name for name in DETAILS]
     write_atomically(out / PAGE, page(plan, points, found, rows, batches, said).encode())
     write_table(out / POINTS, Point, points)
-    bands = {measure: plan.band(measure) for measure in MEASURES}
-    plot_chart(marks, rates, bands=bands, measures=MEASURES, title=title, caption=under, paths=figures)
+    title = ", ".join(each.name for each in plan.scenes)
+    plot_chart([Panel(title, marks, plan.band("worse"))], figures)
+    measures = {measure: words for measure, words in MEASURES.items() if measure != "worse"}
+    plot_details(marks, {measure: plan.band(measure) for measure in measures}, measures, rates, details)
     print(f"\n{under}\n")
-    made = [out / PAGE, out / POINTS, *figures]
+    made = [out / PAGE, out / POINTS, *figures, *details]
     if logger is not None:
         made += tracking.log_chart(points, figures[0], under, command=plan.command, out=out, **logger)
     return made
@@ -71,4 +71,4 @@ def draw(plan: Plan, tables: Tables, out: Path, *, logger: Mapping[str, Any] | N
 
 def label(point: Point, scenes: int) -> str:
     """Return what is written beside a point: its name, and how many scenes it ran where these are not all."""
-    return point.name if point.scenes == scenes else f"{point.name} ({point.scenes} of {scenes} scenes)"
+    return point.name if point.scenes == scenes else f"{point.name} ({point.scenes}/{scenes})"

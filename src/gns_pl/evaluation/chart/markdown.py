@@ -94,7 +94,11 @@ def page(
         "",
         f"Made by `{plan.command}`; every number and sentence below is the script's. Measured on {where}.",
         "",
-        "![wall time, error, throughput, cost](chart.png)",
+        "![time of a scene against the worse of front and map](chart.png)",
+        "",
+        "MPM is written as the size of its cells over √(L0 H0), others by name, with the scenes they ran where these "
+        "are not all. Not written: MPM off the Pareto front. Not drawn: laws, extrapolation, and what moves nothing. "
+        "[By front and by map, with all names](chart_details.png).",
         "",
         f"By {MEASURES['worse']}: {said['worse']}",
         "",
