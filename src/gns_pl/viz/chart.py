@@ -1,11 +1,12 @@
 """Figures of speed against accuracy: the headline over several sets of scenes, and the details of one set.
 
-Both are as wide as a page, 6.5 inches, and their text is large enough to be read on a telephone of 360 pixels. The legend
-stands above the panels; what the figure says in words is said by its page.
+Both are as wide as a page, 6.5 inches, and their text is large enough to be read on a telephone of 360 pixels. The
+legend stands above the panels. The page of the figure says the rest.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import textwrap
@@ -31,7 +32,7 @@ GROUPS = {
     "trivial": ("trivial", "#777777", "^"),
     "other": ("other solvers", "#000000", "*"),
 }
-"""Group → legend, colour (Okabe and Ito's, and a wine red of Tol's), marker. A group that is not here is drawn as "other"."""
+"""Group → legend, colour (Okabe and Ito's, one of Tol's), marker. A group that is not here is drawn as "other"."""
 
 HEADLINE = "worse"
 """The error of the headline, a key of `Mark.errors`: the worse of front and map."""
@@ -97,8 +98,8 @@ class Panel:
 def plot_chart(panels: Sequence[Panel], paths: Sequence[Path], *, legend: bool = True) -> None:
     """Draw the headline: a panel under the other for each set of scenes, the worse of front and map over wall time.
 
-    Named are the points of the Pareto front and all that was trained or fitted, or is no MPM. What gives a runout alone,
-    or takes no time, is left out.
+    Names stand at the points of the Pareto front and at all solvers but plain MPM. What gives a runout alone, or takes
+    no time, is left out.
 
     Args:
         panels: sets of scenes, the first on top.
@@ -131,7 +132,7 @@ def chart_figure(panels: Sequence[Panel], *, legend: bool = True) -> Any:
     """Return the headline as a figure of matplotlib; arguments as of `plot_chart`."""
     kept = [[mark for mark in panel.marks if mark.group not in (*ASIDE, "extrapolated")] for panel in panels]
     titles = [panel.title for panel in panels]
-    figure, every = _stack(titles, [2.85] * len(panels), _legend(sum(kept, []), panels) if legend else [])
+    figure, every = _stack(titles, [3.0] * len(panels), _legend(list(itertools.chain(*kept)), panels) if legend else [])
     for axes, panel, marks in zip(every, panels, kept, strict=True):
         _draw_errors(axes, marks, HEADLINE, panel.band, named=_needs_name, size=TEXT)
         axes.set_ylabel("worse of front and map")
@@ -176,7 +177,7 @@ def _save(make: Any, paths: Sequence[Path]) -> None:
 
 
 def _stack(titles: Sequence[str], heights: Sequence[float], handles: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return a figure with titled axes of these heights [inch], one under the other, and a legend above in 3 columns."""
+    """Return a figure with titled axes of these heights [inch], one under the other, and a legend above them."""
     from matplotlib.figure import Figure
 
     line, below, rows = 0.175, 0.52, math.ceil(len(handles) / 3)
@@ -264,7 +265,7 @@ def _draw_errors(axes: Any, every: Sequence[Mark], measure: str, band: float, *,
             corners += [(x, corners[-1][1]), (x, y)]
         corners.append((right, front[-1][1]))
         axes.plot(*zip(*corners, strict=True), color="black", linewidth=1.0, zorder=1)
-        lines += [list(pair) for pair in zip(corners, corners[1:], strict=False)]
+        lines += [list(pair) for pair in itertools.pairwise(corners)]
     _log_axes(axes)
     labels = [(mark.label, places[mark.name], mark.drawn_as) for mark in marks if mark.label and named(mark, measure)]
     _write(axes, labels, places.values(), lines, size)
@@ -278,7 +279,7 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
         axes.plot(*zip(*line, strict=True), **_marker(known) | {"linestyle": "-", "linewidth": 1.0})
         labels.append((shortened(name), line[-1], known))
         places += line
-        lines += [list(pair) for pair in zip(line, line[1:], strict=False)]
+        lines += [list(pair) for pair in itertools.pairwise(line)]
     sizes = sorted({size for size, _ in places})
     axes.set(xscale="log", yscale="log", xlabel="scenes at once", ylabel="scenes per second")
     axes.set_xlim(sizes[0] / 1.15, sizes[-1] * max(2.0, (sizes[-1] / sizes[0]) ** 0.4))

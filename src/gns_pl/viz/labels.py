@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 Booleans = NDArray[np.bool_]
 
 GAPS = (3.0, 7.0, 12.0, 18.0, 25.0, 34.0, 45.0, 58.0, 74.0, 92.0)
 """Distances of a name from its mark [pt], the nearest first."""
 
 DIRECTIONS = 24
-COVERED, CROSSED_NAME, CROSSED_LEADER, CROSSED_MARK, ON_LINE, NEARER_TO_ANOTHER = 1e4, 300.0, 200.0, 80.0, 70.0, 20.0
+COVERED, CROSSED_NAME, CROSSED_LEADER, CROSSED_MARK = 1e4, 300.0, 200.0, 80.0
+ON_LINE, NEARER_TO_ANOTHER, NOT_RIGHT = 70.0, 20.0, 3.0
 """What is to be avoided costs as much as a leader line of so many points."""
 
 LEADER_FROM = 6.0
@@ -40,8 +41,8 @@ def write_labels(
 ) -> list[Any]:
     """Write names beside their marks, with thin leader lines where they had to go farther.
 
-    Every name has places on rectangles around its mark. Near ones are best; a name on a line, a leader line across others,
-    and a name that is nearer to another mark cost something. A name for which no free place is left is not written.
+    Every name has places on rectangles around its mark. Near ones are best; a name on a line, a leader line across
+    others, and a name that is nearer to another mark cost something. A name without a free place is not written.
 
     Args:
         axes: at their final place in the figure, with final limits.
@@ -59,7 +60,7 @@ def write_labels(
     if not labels:
         return []
     to_points = 72 / axes.figure.dpi
-    renderer = FigureCanvasAgg(axes.figure).get_renderer()
+    renderer: Any = FigureCanvasAgg(axes.figure).get_renderer()  # type: ignore[no-untyped-call]
     texts = [axes.annotate(label.text, label.place, fontsize=size, color=label.colour) for label in labels]
     extents = [text.get_window_extent(renderer) for text in texts]
     for text in texts:
@@ -114,10 +115,10 @@ def _choose(
         foreign = np.hypot(*(marks - spot).T) > 0.5
         outside = (own[:, :2] < inside[:2]).any(1) | (own[:, 2:] > inside[2:]).any(1)
         cost = length + COVERED * (10 * outside + _overlap(own, mark_boxes).sum(1))
-        cost += NEARER_TO_ANOTHER * (np.hypot(*away.transpose(2, 0, 1))[:, foreign] < length[:, None]).sum(1).clip(
-            max=3
-        )
+        nearer = np.hypot(*away.transpose(2, 0, 1))[:, foreign] < length[:, None]
+        cost += NEARER_TO_ANOTHER * nearer.sum(1).clip(max=3)
         cost += CROSSED_MARK * (_hit(leader, mark_boxes)[:, foreign] & (length > LEADER_FROM + radius)[:, None]).sum(1)
+        cost += NOT_RIGHT * (own[:, 0] < spot[0])
         if len(lines):
             cost += ON_LINE * _hit(lines, own).sum(0)
         best = np.argsort(cost, kind="stable")[:PLACES]
@@ -138,9 +139,11 @@ def _choose(
 def _pairs(boxes: Sequence[Floats], leaders: Sequence[Floats]) -> Floats:
     """Return what two names cost each other in all of their places, [L, C, L, C]."""
     number, places = len(boxes), len(boxes[0])
-    flat, lines = np.concatenate(boxes), np.concatenate(leaders)
+    flat, lines = np.concatenate(boxes).astype(np.float32), np.concatenate(leaders).astype(np.float32)
     through = _hit(lines, flat)
-    cost = COVERED * _overlap(flat, flat + (-2, -0.5, 2, 0.5)) + CROSSED_LEADER * _crossed(lines, lines)
+    apart = np.array([-2, -0.5, 2, 0.5], dtype=np.float32)
+    cost = COVERED * _overlap(flat, flat + apart).astype(np.float32)
+    cost += CROSSED_LEADER * _crossed(lines, lines)
     cost += CROSSED_NAME * (through | through.T)
     cost = cost.reshape(number, places, number, places)
     cost[np.arange(number), :, np.arange(number)] = 0
@@ -155,7 +158,8 @@ def _least(pairs: Floats, alone: Floats) -> NDArray[np.intp]:
         alone: what each costs by itself, [L, C].
     """
     generator, every = np.random.default_rng(0), np.arange(len(alone))
-    best, least = np.argmin(alone, axis=1), math.inf
+    best: NDArray[np.intp] = np.argmin(alone, axis=1)
+    least = math.inf
     for _ in range(STARTS):
         chosen, total = np.argmin(alone + generator.exponential(20.0, alone.shape), axis=1), math.inf
         while True:
@@ -188,13 +192,13 @@ def _overlap(boxes: Floats, others: Floats) -> Booleans:
 
 def _hit(segments: Floats, boxes: Floats) -> Booleans:
     """Return whether segments run through boxes, [S, 2, 2] and [B, 4] → [S, B]; by the slabs of each axis."""
-    enter, leave = np.zeros(1), np.ones(1)
+    enter, leave = np.zeros_like(segments[:, :1, 0]), np.ones_like(segments[:, :1, 0])
     for axis in (0, 1):
         start, along = segments[:, None, 0, axis], segments[:, None, 1, axis] - segments[:, None, 0, axis]
         along = 1 / np.where(np.abs(along) < 1e-9, 1e-9, along)
         one, two = (boxes[:, axis] - start) * along, (boxes[:, axis + 2] - start) * along
         enter, leave = np.maximum(enter, np.minimum(one, two)), np.minimum(leave, np.maximum(one, two))
-    return np.asarray((enter < leave) & (leave > 0.01))
+    return np.asarray(enter < leave)
 
 
 def _crossed(segments: Floats, others: Floats) -> Booleans:
