@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: install quickstart test package test-slow notebooks validation test-gpu docs lint clean
+.PHONY: install quickstart test package test-slow notebooks validation test-gpu tables docs lint clean
 
 install: $(STAMP)
 
@@ -39,6 +39,17 @@ validation: $(STAMP)
 test-gpu: $(STAMP)
 	$(BIN)/python -c 'import numba_cuda' 2>/dev/null || $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[cuda]'
 	$(BIN)/python -m pytest -m gpu
+
+# Every page, table and figure under docs/ that is made of a measured table is made of it again; nothing is measured.
+tables: $(STAMP)
+	$(BIN)/python benchmark.py 'sets=[docs/charts/general,docs/charts/columns,docs/charts/plane]' out=docs logger.enabled=false
+	$(BIN)/python benchmarks/promise.py --from-table
+	$(BIN)/python benchmarks/results.py --from-table
+	$(BIN)/python benchmarks/trust.py --from-table
+	$(BIN)/python examples/inverse.py --from-table
+	$(BIN)/python benchmarks/mpm_convergence.py --figure
+	$(BIN)/python benchmarks/mpm_validation.py --figure
+	$(BIN)/python docs/site/architecture.py
 
 # Not --quiet: what is not shown is not counted. The variable silences a notice about the theme (docs/decisions.md).
 docs: $(VENV)/.docs

@@ -32,7 +32,10 @@ NAVIGATION = {
         *("quickstart", "commands", "python", "simulate", "scenes", "training", "data", "evaluation"),
         *("retuned", "inverse", "formats", "export", "extend"),
     ),
-    "Measured": ("results", "chart", "reductions", "stability", "trust", "performance", "reference", "shallow"),
+    "Measured": (
+        *("results", "chart", "charts/general/chart", "charts/columns/chart", "charts/plane/chart", "reductions"),
+        *("stability", "trust", "performance", "reference", "shallow"),
+    ),
 }
 PROJECT = {"The trajectory file": "SCHEMA.md", "Decisions": "decisions.md"}
 BORROWED = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
@@ -116,7 +119,7 @@ def relinked(markdown: str, origin: str) -> str:
 
 def documents() -> dict[str, str]:
     """Return the Markdown files that are pages in their own right, their path by where they are shown."""
-    own = [f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))]
+    own = [path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md"))]
     cards = [f"{CARDS}/{path.name}" for path in sorted((ROOT / CARDS).glob("*.md"))]
     return {str(place(path)): path for path in [*BORROWED, *own, *cards]}
 

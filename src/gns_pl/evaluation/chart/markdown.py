@@ -21,6 +21,14 @@ HEAD = (
 )
 
 
+LEGEND = (
+    "*Numbers without a name are plain MPM on cells of √(L0 H0) over them; behind other names stands how many scenes "
+    "they ran, where that is not all. Plain MPM off the Pareto front has no name; laws, extrapolations and what moves "
+    "nothing are not drawn. Grey: the reference's own uncertainty.*"
+)
+"""What stands under a figure of the worse of front and map."""
+
+
 def caption(found: Sequence[Verdict], points: Sequence[Point], band: float, measure: str) -> str:
     """Return who wins by one measure, and what the laws do, in words.
 
@@ -99,6 +107,8 @@ def page(
         f"Made by `{plan.command}`; every number and sentence below is the script's. Measured on {where}.",
         "",
         "![wall time and error, the worse of front and map](chart.png)",
+        "",
+        LEGEND,
         "",
         f"By {MEASURES['worse']}: {said['worse']}",
         "",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gns_pl.evaluation.chart.draw import FIGURES, panel_of
 from gns_pl.evaluation.chart.front import fastest_as_good
-from gns_pl.evaluation.chart.markdown import headline, markdown_table, threads_of
+from gns_pl.evaluation.chart.markdown import LEGEND, headline, markdown_table, threads_of
 from gns_pl.evaluation.chart.plan import MEASURES, PAGE, Plan
 from gns_pl.evaluation.chart.points import Point, points_of, rows_by_name
 from gns_pl.evaluation.chart.tables import RunRow, Tables
@@ -101,6 +101,8 @@ def overview(charts: Sequence[Chart], command: str, out: Path) -> str:
         "sentence below is the script's.",
         "",
         "![error over time: a panel for every set of scenes](chart.png)",
+        "",
+        LEGEND,
         "",
         "## Who wins where",
         "",
