@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from gns_pl.viz import Mark, Panel, plot_chart, plot_details
-from gns_pl.viz.chart import ASIDE, GROUPS, WIDTH, chart_figure, details_figure, shortened
+from gns_pl.viz.chart import WIDTH, chart_figure, details_figure
 from gns_pl.viz.labels import _crossed, _hit
+from gns_pl.viz.marks import ASIDE, GROUPS, shortened
 from tests.viz.charts import crowded, published
 
 MEASURES = {"front": "final front", "map": "final deposit from above, the share of its volume in the wrong place"}
