@@ -7,10 +7,11 @@ functions that draw. ParaView series need none of them.
 from importlib.util import find_spec
 
 from gns_pl.viz.animation import write_animation
-from gns_pl.viz.chart import Mark, Panel, plot_chart, plot_details
+from gns_pl.viz.chart import Panel, plot_chart, plot_details
 from gns_pl.viz.evolution import plot_evolution
 from gns_pl.viz.laws import plot_laws
 from gns_pl.viz.learning_curve import plot_learning_curve
+from gns_pl.viz.marks import Mark
 from gns_pl.viz.notebook import interactive
 from gns_pl.viz.ood import plot_ood
 from gns_pl.viz.paraview import write_paraview

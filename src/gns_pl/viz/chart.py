@@ -8,82 +8,25 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 import textwrap
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gns_pl.viz.labels import Label, write_labels
+from gns_pl.viz.marks import ASIDE, GROUPS, LEAST, Mark, marker_style, number_axes, shortened, write_names
 from gns_pl.viz.plots import STYLE
-
-GROUPS = {
-    "mpm": ("MPM, cells of 1/N", "#0072B2", "o"),
-    "retuned": ("retuned MPM", "#882255", "P"),
-    "shallow": ("depth-averaged", "#E69F00", "h"),
-    "learned": ("learned", "#D55E00", "s"),
-    "corrected": ("corrected MPM", "#009E73", "D"),
-    "hybrid": ("hybrid", "#CC79A7", "v"),
-    "extrapolated": ("two MPM extrapolated", "#56B4E9", "x"),
-    "law": ("law of runout", "#000000", "+"),
-    "trivial": ("trivial", "#777777", "^"),
-    "other": ("other solvers", "#000000", "*"),
-}
-"""Group → legend, colour (Okabe and Ito's, one of Tol's), marker. A group that is not here is drawn as "other"."""
 
 HEADLINE = "worse"
 """The error of the headline, a key of `Mark.errors`: the worse of front and map."""
 
-ASIDE = ("law", "trivial")
-"""Groups that take no time worth the name: outside of the headline, at the left edge of the details."""
-
 WIDTH, LEFT, RIGHT = 6.5, 0.82, 0.12
 """Width of a figure, and of its margins [inch]."""
 
-TEXT, SMALL, RADIUS = 10.4, 8.5, 3.2
-"""Sizes of text: 10.4 pt of 6.5 inches are 8 of 360 pixels; of the names in the details; radius of a mark [pt]."""
-
-LEAST = 2e-3
-"""Errors are drawn as at least this, for the axes are logarithmic."""
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A setting.
-
-    Attributes:
-        name: of the setting.
-        group: in `GROUPS`, or another.
-        seconds: wall time of a scene [s].
-        low: of the fastest run.
-        high: of the slowest.
-        errors: measure → relative error; a panel leaves out an infinite one, of what failed or gives none.
-        label: written beside it; "" for none.
-        whole: in three dimensions, drawn hollow.
-        on_fronts: measures by which it is a point of the Pareto front.
-        spent: on data and training before [s]; NaN where unknown or nothing.
-        pays: break-even number of scenes in words.
-    """
-
-    name: str
-    group: str
-    seconds: float
-    low: float
-    high: float
-    errors: Mapping[str, float]
-    label: str
-    whole: bool
-    on_fronts: Collection[str]
-    spent: float
-    pays: str
-
-    @property
-    def drawn_as(self) -> str:
-        """The group as which it is drawn."""
-        return self.group if self.group in GROUPS else "other"
+TEXT, SMALL = 10.4, 8.5
+"""Sizes of text, and of the names in the details [pt]: 10.4 pt of 6.5 inches are 8 of 360 pixels."""
 
 
 @dataclass(frozen=True)
@@ -206,26 +149,15 @@ def _legend(marks: Sequence[Mark], panels: Sequence[Panel]) -> list[Any]:
 
     shown = {mark.drawn_as for mark in marks}
     handles: list[Any] = [
-        Line2D([], [], label=words, **_marker(group)) for group, (words, _, _) in GROUPS.items() if group in shown
+        Line2D([], [], label=words, **marker_style(group)) for group, (words, _, _) in GROUPS.items() if group in shown
     ]
     if any(mark.whole for mark in marks):
-        handles.append(Line2D([], [], label="run in 3D", **_marker("trivial", whole=True) | {"marker": "o"}))
+        handles.append(Line2D([], [], label="run in 3D", **marker_style("trivial", whole=True) | {"marker": "o"}))
     if any(mark.on_fronts for mark in marks):
         handles.append(Line2D([], [], color="black", linewidth=1.0, label="Pareto front"))
     if any(panel.band > 0 for panel in panels):
         handles.append(Patch(color="0.88", linewidth=0, label="reference uncertainty"))
     return handles
-
-
-def _marker(group: str, *, whole: bool = False) -> dict[str, Any]:
-    _, colour, marker = GROUPS[group]
-    size = 2 * RADIUS * {"D": 0.85, "*": 1.4, "P": 1.15, "h": 1.15}.get(marker, 1.0)
-    style = {"color": colour, "marker": marker, "markersize": size, "linestyle": "none", "markeredgewidth": 0.5}
-    if marker in "x+":
-        return style | {"markeredgewidth": 1.4}
-    if whole:
-        return style | {"markerfacecolor": "white", "markeredgewidth": 1.1}
-    return style | {"markeredgecolor": "white"}
 
 
 def _draw_errors(axes: Any, every: Sequence[Mark], measure: str, band: float, *, named: Any, size: float) -> None:
@@ -257,7 +189,7 @@ def _draw_errors(axes: Any, every: Sequence[Mark], measure: str, band: float, *,
             low, high = max(left, min(mark.low, x)), min(right, max(mark.high, x))
             axes.plot([low, high], [y, y], color=GROUPS[mark.drawn_as][1], linewidth=0.9, zorder=1.9)
             lines.append([(low, y), (high, y)])
-        axes.plot(x, y, **_marker(mark.drawn_as, whole=mark.whole))
+        axes.plot(x, y, **marker_style(mark.drawn_as, whole=mark.whole))
     front = [places[mark.name] for mark in marks if measure in mark.on_fronts]
     if front:
         corners = [(front[0][0], top), front[0]]
@@ -266,9 +198,9 @@ def _draw_errors(axes: Any, every: Sequence[Mark], measure: str, band: float, *,
         corners.append((right, front[-1][1]))
         axes.plot(*zip(*corners, strict=True), color="black", linewidth=1.0, zorder=1)
         lines += [list(pair) for pair in itertools.pairwise(corners)]
-    _log_axes(axes)
+    number_axes(axes)
     labels = [(mark.label, places[mark.name], mark.drawn_as) for mark in marks if mark.label and named(mark, measure)]
-    _write(axes, labels, places.values(), lines, size)
+    write_names(axes, labels, places.values(), lines, size)
 
 
 def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, float]]]]) -> None:
@@ -276,7 +208,7 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
     for name, (group, points) in rates.items():
         known = group if group in GROUPS else "other"
         line = sorted(points)
-        axes.plot(*zip(*line, strict=True), **_marker(known) | {"linestyle": "-", "linewidth": 1.0})
+        axes.plot(*zip(*line, strict=True), **marker_style(known) | {"linestyle": "-", "linewidth": 1.0})
         labels.append((shortened(name), line[-1], known))
         places += line
         lines += [list(pair) for pair in itertools.pairwise(line)]
@@ -284,56 +216,19 @@ def _draw_rates(axes: Any, rates: Mapping[str, tuple[str, Sequence[tuple[int, fl
     axes.set(xscale="log", yscale="log", xlabel="scenes at once", ylabel="scenes per second")
     axes.set_xlim(sizes[0] / 1.15, sizes[-1] * max(2.0, (sizes[-1] / sizes[0]) ** 0.4))
     axes.set_ylim(0.6 * min(rate for _, rate in places), 1.6 * max(rate for _, rate in places))
-    _log_axes(axes, percent=False)
+    number_axes(axes, percent=False)
     axes.set_xticks(sizes, [str(size) for size in sizes])
     axes.set_xticks([], minor=True)
-    _write(axes, labels, places, lines, SMALL)
+    write_names(axes, labels, places, lines, SMALL)
 
 
 def _draw_costs(axes: Any, marks: Sequence[Mark]) -> None:
     places = {mark.name: (mark.spent, max(mark.errors[HEADLINE], LEAST)) for mark in marks}
     for mark in marks:
-        axes.plot(*places[mark.name], **_marker(mark.drawn_as, whole=mark.whole))
+        axes.plot(*places[mark.name], **marker_style(mark.drawn_as, whole=mark.whole))
     axes.set(xscale="log", yscale="log", xlabel="spent on data and training [s]", ylabel="worse of front and map")
     axes.set_xlim(min(mark.spent for mark in marks) / 4, 6 * max(mark.spent for mark in marks))
     axes.set_ylim(0.6 * min(y for _, y in places.values()), 1.6 * max(y for _, y in places.values()))
-    _log_axes(axes)
+    number_axes(axes)
     labels = [(f"{shortened(mark.name)}: {mark.pays}", places[mark.name], mark.drawn_as) for mark in marks]
-    _write(axes, labels, places.values(), [], SMALL)
-
-
-def shortened(label: str) -> str:
-    """Return a name as it is written in a figure: `mpm_10.2_c0.6` as 1/10.2 c0.6, for the legend says what it is."""
-    return "1/" + label.removeprefix("mpm_").replace("_", " ") if re.match(r"mpm_\d", label) else label
-
-
-def _write(
-    axes: Any,
-    named: Iterable[tuple[str, tuple[float, float], str]],
-    marks: Iterable[tuple[float, float]],
-    lines: Sequence[Any],
-    size: float,
-) -> None:
-    from matplotlib.colors import to_rgb
-
-    labels = []
-    for text, place, group in named:
-        red, green, blue = (0.72 * part for part in to_rgb(GROUPS[group][1]))  # pale letters are hard to read
-        labels.append(Label(shortened(text), place, (red, green, blue)))
-    ends = np.array(lines, dtype=float).reshape(-1, 2, 2)
-    write_labels(axes, labels, marks=np.array(list(marks)), lines=ends, size=size, radius=RADIUS)
-
-
-def _log_axes(axes: Any, *, percent: bool = True) -> None:
-    """Plain numbers at 1, 2 and 5 of every decade, or at 1 alone where it has many."""
-    for axis, (low, high), unit in ((axes.xaxis, axes.get_xlim(), False), (axes.yaxis, axes.get_ylim(), percent)):
-        decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)))
-        steps = (1, 2, 5) if math.log10(high / low) < 2.6 else (1,)
-        ticks = [step * 10.0**decade for decade in decades for step in steps]
-        ticks = [tick for tick in ticks if low <= tick <= high]
-        axis.set_ticks(ticks, [f"{100 * tick:g} %" if unit else f"{tick:g}" for tick in ticks])
-        minor = [step * 10.0**decade for decade in decades for step in range(1, 10)]
-        axis.set_ticks([tick for tick in minor if low <= tick <= high and tick not in ticks], minor=True)
-        axis.set_minor_formatter("")
-        axis.set_tick_params(which="minor", length=1.5, width=0.4)
-        axis.grid(which="major", alpha=0.3, linewidth=0.4)
+    write_names(axes, labels, places.values(), [], SMALL)

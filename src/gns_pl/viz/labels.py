@@ -17,14 +17,16 @@ GAPS = (3.0, 7.0, 12.0, 18.0, 25.0, 34.0, 45.0, 58.0, 74.0, 92.0)
 """Distances of a name from its mark [pt], the nearest first."""
 
 DIRECTIONS = 24
-COVERED, CROSSED_NAME, CROSSED_LEADER, CROSSED_MARK = 1e4, 300.0, 200.0, 80.0
+COVERED, CROSSED_NAME, CROSSED_LEADER, CROSSED_MARK = 1e4, 300.0, 200.0, 200.0
 ON_LINE, NEARER_TO_ANOTHER, NOT_RIGHT = 70.0, 20.0, 3.0
 """What is to be avoided costs as much as a leader line of so many points."""
 
 LEADER_FROM = 6.0
 """A name farther from its mark than this has a leader line [pt]."""
-PLACES, STARTS = 64, 40
-"""Places of a name that are looked at, the best by themselves, and descents."""
+PLACES, STARTS = 80, 16
+"""Places of a name that are looked at, the best by themselves, and searches among them, the best of which counts."""
+
+TEMPERATURES = (*np.geomspace(60, 2, 30), 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,7 @@ def _pairs(boxes: Sequence[Floats], leaders: Sequence[Floats]) -> Floats:
 
 
 def _least(pairs: Floats, alone: Floats) -> NDArray[np.intp]:
-    """Return the place of every name, [L]: the best of several descents, in each of which one name moves at a time.
+    """Return the place of every name, [L], by simulated annealing: one name at a time is drawn anew given the others.
 
     Args:
         pairs: what two names cost each other, [L, C, L, C].
@@ -161,16 +163,14 @@ def _least(pairs: Floats, alone: Floats) -> NDArray[np.intp]:
     best: NDArray[np.intp] = np.argmin(alone, axis=1)
     least = math.inf
     for _ in range(STARTS):
-        chosen, total = np.argmin(alone + generator.exponential(20.0, alone.shape), axis=1), math.inf
-        while True:
+        chosen = np.argmin(alone, axis=1)
+        for temperature in TEMPERATURES:
             for index in generator.permutation(every):
-                chosen[index] = np.argmin(alone[index] + pairs[index][:, every, chosen].sum(1))
-            cost = alone[every, chosen].sum() + 0.5 * pairs[every, chosen][:, every, chosen].sum()
-            if cost >= total:
-                break
-            total = cost
+                cost = alone[index] + pairs[index][:, every, chosen].sum(1)
+                chosen[index] = np.argmin(cost + temperature * generator.gumbel(size=len(cost)))
+        total = alone[every, chosen].sum() + 0.5 * pairs[every, chosen][:, every, chosen].sum()
         if total < least:
-            best, least = chosen.copy(), total
+            best, least = chosen, total
     return best
 
 
