@@ -85,4 +85,4 @@ def marks_of(plan: Plan, points: Sequence[Point]) -> list[Mark]:
 
 def label(point: Point, scenes: int) -> str:
     """Return what is written beside a point: its name, and how many scenes it ran where these are not all."""
-    return point.name if point.scenes == scenes else f"{point.name} ({point.scenes} of {scenes} scenes)"
+    return point.name if point.scenes == scenes else f"{point.name} ({point.scenes}/{scenes})"

@@ -22,9 +22,9 @@ HEAD = (
 
 
 LEGEND = (
-    "*Numbers without a name are plain MPM on cells of √(L0 H0) over them; behind other names stands how many scenes "
-    "they ran, where that is not all. Plain MPM off the Pareto front has no name; laws, extrapolations and what moves "
-    "nothing are not drawn. Grey: the reference's own uncertainty.*"
+    "*1/N is plain MPM on cells of √(L0 H0)/N, (4/6) behind a name that it ran four of six scenes. Plain MPM off the "
+    "Pareto front has no name; laws, extrapolations and what moves nothing are not drawn. Grey: the reference's own "
+    "uncertainty.*"
 )
 """What stands under a figure of the worse of front and map."""
 
