@@ -13,19 +13,20 @@ import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
 from gns_pl.io.tables import write_table
-from gns_pl.models.shipped import FOLDER, retuned_names
 from gns_pl.scene import FACES, Body, Box, Scene, Wall
 from gns_pl.solvers import recording
+from gns_pl.solvers.fitted_files import write_fitted
+from gns_pl.solvers.fitted_range import range_of
 from gns_pl.solvers.mpm import MPMSolver
-from gns_pl.solvers.retuned import Factors, RetunedMPMSolver, range_of, read_retuned, write_retuned
+from gns_pl.solvers.retuned import MPMFactors, RetunedMPMSolver
 from gns_pl.solvers.selection import Record
 from gns_pl.solvers.simulate import simulate, simulate_by_choice
 from tests.solvers.test_selection import MPM, ROUGH, column, record
 
-FACTORS = Factors(wall_friction=0.8, internal_friction=0.9, cohesion=0.5, damping_rate=0.25)
+FACTORS = MPMFactors(wall_friction=0.8, internal_friction=0.9, cohesion=0.5, damping_rate=0.25)
 
 
-def retuned(factors: Factors = FACTORS, **changes: object) -> RetunedMPMSolver:
+def retuned(factors: MPMFactors = FACTORS, **changes: object) -> RetunedMPMSolver:
     return replace(RetunedMPMSolver("mine", 5.0, MPM, factors=factors), **changes)  # type: ignore[arg-type]
 
 
@@ -61,8 +62,8 @@ def test_it_is_mpm_whose_settings_are_changed_by_hand(kind: str) -> None:
 
 def test_factors_of_one_are_mpm() -> None:
     plain = MPMSolver("mpm", 5.0, MPM)
-    np.testing.assert_array_equal(retuned(Factors()).run(column()).position, plain.run(column()).position)
-    assert len({plain.identity(), retuned().identity(), retuned(Factors()).identity()}) == 3
+    np.testing.assert_array_equal(retuned(MPMFactors()).run(column()).position, plain.run(column()).position)
+    assert len({plain.identity(), retuned().identity(), retuned(MPMFactors()).identity()}) == 3
 
 
 def test_its_run_goes_on_after_a_kill(
@@ -87,13 +88,13 @@ def test_its_run_goes_on_after_a_kill(
     np.testing.assert_array_equal(written.position, retuned().run(scene, interval=0.02).position)
     assert written.scene == scene and written.provenance["factors"] == vars(FACTORS)
     with pytest.raises(InputError, match="of another scene, solver"):
-        simulate(retuned(Factors()), [scene], out=tmp_path, interval=0.02)
+        simulate(retuned(MPMFactors()), [scene], out=tmp_path, interval=0.02)
 
 
 def test_a_file_gives_the_solver_back(tmp_path: Path) -> None:
     solver = retuned(fitted_range=range_of([column(0.5), column(2.0)]))
-    write_retuned(tmp_path / "mine.yaml", solver, {"runs": 3})
-    back = read_retuned(tmp_path / "mine.yaml")
+    write_fitted(tmp_path / "mine.yaml", solver, {"runs": 3})
+    back = read_fitted(tmp_path / "mine.yaml")
     assert back == replace(solver, path=tmp_path / "mine.yaml") and back.identity() == solver.identity()
     assert gns_pl.load_solver(tmp_path / "mine.yaml").file() == tmp_path / "mine.yaml"
 
@@ -126,10 +127,10 @@ def test_a_tolerance_chooses_it_within_its_range_once_it_was_measured(
 ) -> None:
     """Outside it the next MPM is taken; and its factors are not checked on cells for which they were not fitted."""
     rough = column(sides=ROUGH)
-    write_retuned(tmp_path / "mine.yaml", retuned(fitted_range=range_of([rough])), {})
+    write_fitted(tmp_path / "mine.yaml", retuned(fitted_range=range_of([rough])), {})
     table = [record("mine", kind, 0.05, 1.0) for kind in ("space", "plane")]
     write_table(tmp_path / "records.csv", Record, [*table, *(record("mpm_8", r.kind, 0.04, 9.0) for r in table)])
-    choice = {"retuned": [str(tmp_path / "mine.yaml")], "cells": [8], "mpm": MPM, "frame_interval": 0.05}
+    choice = {"fitted": [str(tmp_path / "mine.yaml")], "cells": [8], "mpm": MPM, "frame_interval": 0.05}
     choice["records"] = str(tmp_path / "records.csv")
     how = {"choice": choice, "tolerance": 0.06, "check": True}
     (path,) = simulate_by_choice([rough], out=tmp_path / "space", **how)  # type: ignore[arg-type]
@@ -172,4 +173,4 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path, text: str, sentence
     with pytest.raises(InputError, match="cannot be read"):
         gns_pl.load_solver(tmp_path / "none.yaml")
     with pytest.raises(InputError, match="factors: cohesion must be a finite number above 0"):
-        Factors(cohesion=0.0)
+        MPMFactors(cohesion=0.0)

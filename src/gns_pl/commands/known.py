@@ -77,7 +77,7 @@ WHOLE = {
 POSITIVE = (
     *(f"{owner}mpm.{name}" for owner in MPM for name in ("courant", "cell_size")),
     *("frame_interval", "choice.frame_interval", "evaluation.duration", "evaluation.stress.interval"),
-    *("cells", "difference", "map_cell", "duration_tau", "fine.cells_per_metre", "fine.interval"),
+    *("cells", "difference", "duration_tau", "fine.cells_per_metre", "fine.interval"),
 )
 """Keys of numbers above zero."""
 

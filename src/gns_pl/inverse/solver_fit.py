@@ -1,4 +1,4 @@
-"""The fit of coarse MPM to fine MPM: references, search, errors before and after, and the solver's file."""
+"""The fit of a coarse solver to fine MPM: references, search, errors before and after, and the solver's file."""
 
 from __future__ import annotations
 
@@ -20,10 +20,14 @@ from gns_pl.io.lock import locked
 from gns_pl.io.tables import write_table
 from gns_pl.mpm.settings import solver_config, solver_version
 from gns_pl.scene import Scene, read_scene
+from gns_pl.solvers.fitted import Factors, FittedSolver
+from gns_pl.solvers.fitted_files import kind_of_solver, write_fitted
+from gns_pl.solvers.fitted_range import range_of
 from gns_pl.solvers.reduction import reduce_scene
-from gns_pl.solvers.retuned import Factors, RetunedMPMSolver, range_of, write_retuned
+from gns_pl.solvers.retuned import RetunedMPMSolver
+from gns_pl.solvers.shallow import FittedShallowSolver
 from gns_pl.solvers.solver import hashed
-from gns_pl.text import command
+from gns_pl.text import command, did_you_mean
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -60,7 +64,7 @@ class Row:
     map_after: float
 
 
-def retune(
+def fit_solver(
     make_goal: Callable[[Sequence[Scene]], Goal],
     scenes: Sequence[Scene],
     held_out: Sequence[Scene] = (),
@@ -91,7 +95,7 @@ def retune(
     out.mkdir(parents=True, exist_ok=True)
     with locked(out / ".fit.lock", on_wait=lambda: print(f"{out}: another fit is writing here; waiting for it")):
         goal = make_goal(scenes)
-        parts = [goal.weights.tolist(), goal.map_cell, goal.interval, goal.seed, dict(fitted)]
+        parts = [goal.weights.tolist(), goal.interval, goal.seed, dict(fitted)]
         runs = Runs(out / "runs.json", hashed([goal.solver.identity(), [scene.to_dict() for scene in scenes], *parts]))
         plain, factors = goal.solver.factors, search(goal, runs=runs, **how)
         rows = _rows(scenes, False, *(runs.errors[tuple(vars(each).values())] for each in (plain, factors)))
@@ -104,10 +108,9 @@ def retune(
             "runs": len(runs.errors),
             "scenes": [scene.name for scene in scenes],
             "errors": {kind: _summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
-            "solver_version": solver_version(goal.solver.settings),
         }
         path = out / f"{name}.yaml"
-        write_retuned(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), summary)
+        write_fitted(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), summary)
     print(f"\n{table(rows)}\n\n{path}: {', '.join(f'{key} {value:.3g}' for key, value in vars(factors).items())}")
     print(f"To run it: {command('simulate')} solver={path} scene=mine.yaml")
     return path
@@ -164,40 +167,65 @@ def fit_config(cfg: DictConfig) -> Path:
     from omegaconf import OmegaConf
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    scenes = {scene.name: scene for scene in _scenes(settings)}
-    unknown = [name for name in settings["held_out"] if name not in scenes]
-    if unknown and settings["scene"] is None:
-        raise InputError(f"held_out: there is no scene {unknown[0]}; there are {', '.join(scenes)}.")
-    held_out = [scene for name, scene in scenes.items() if name in settings["held_out"]]
-    fitted = [scene for name, scene in scenes.items() if name not in settings["held_out"]]
-    if not fitted:
-        raise InputError("held_out: all scenes are held out; leave some to fit to.")
-    weights = settings["weights"]
+    solver = _unfitted(settings)
+    fitted, held_out = _groups(settings, solver)
+    weights, mpm, fine = settings["weights"], settings["choice"]["mpm"], settings["fine"]
     if set(weights) != {"front", "height", "map"}:
         raise InputError(f"weights: needs front, height and map, not {', '.join(weights)}.")
-    mpm, fine = settings["choice"]["mpm"], settings["fine"]
-    solver_config({**mpm, "cell_size": 1 / fine["cells_per_metre"]})
+    fine_settings = {**mpm, "cell_size": 1 / fine["cells_per_metre"]}
+    solver_config(fine_settings)  # refuses what no run can have
 
     def make_goal(group: Sequence[Scene]) -> Goal:
         return Goal(
-            solver=RetunedMPMSolver(settings["name"], float(settings["cells"]), mpm),
+            solver=solver,
             scenes=group,
             references=[fine_deposit(scene, settings) for scene in group],
             weights=np.array([weights[key] for key in ("front", "height", "map")], dtype=np.float64),
-            map_cell=settings["map_cell"],
             interval=fine["interval"],
             seed=settings["seed"],
         )
 
-    return retune(
+    return fit_solver(
         make_goal,
         fitted,
         held_out,
         out=Path(settings["out"]),
         name=settings["name"],
-        fitted={"fine": fine, "weights": weights},
-        **{key: settings[key] for key in ("bounds", "difference", "budget")},
+        fitted={"fine": {**fine, "solver_version": solver_version(fine_settings)}, "weights": weights},
+        bounds=settings["bounds"][kind_of_solver(solver)],
+        **{key: settings[key] for key in ("difference", "budget")},
     )
+
+
+def _unfitted(settings: Mapping[str, Any]) -> FittedSolver:
+    """Return the solver that is fitted, with factors of 1."""
+    what, name, cells = settings["solver"], settings["name"], float(settings["cells"])
+    shallow: Mapping[str, Mapping[str, Any]] = settings["choice"]["shallow"]
+    if what == "mpm":
+        return RetunedMPMSolver(name, cells, settings["choice"]["mpm"], num_threads=1)
+    if what not in shallow:
+        raise InputError(
+            f"solver: {what} cannot be fitted{did_you_mean(what, ['mpm', *shallow])}; take mpm or a name of "
+            f"choice.shallow ({', '.join(shallow)})."
+        )
+    return FittedShallowSolver(name, cells, {key: value for key, value in shallow[what].items() if key != "cells"})
+
+
+def _groups(settings: Mapping[str, Any], solver: FittedSolver) -> tuple[list[Scene], list[Scene]]:
+    """Return the scenes to fit to and those held out, without what the solver cannot run, which is printed."""
+    scenes = {scene.name: scene for scene in _scenes(settings)}
+    unknown = [name for name in settings["held_out"] if name not in scenes]
+    if unknown and settings["scene"] is None:
+        raise InputError(f"held_out: there is no scene {unknown[0]}; there are {', '.join(scenes)}.")
+    reasons = {name: solver.unsupported_reason(scene) for name, scene in scenes.items()}
+    runs = {name: scene for name, scene in scenes.items() if reasons[name] is None}
+    fitted = [scene for name, scene in runs.items() if name not in settings["held_out"]]
+    if not fitted:
+        raise InputError("held_out: no scene is left to fit to, of those that the solver can run; hold out fewer.")
+    for name, reason in reasons.items():
+        if reason is not None:
+            print(f"{name}: left out; {reason}")
+    return fitted, [scene for name, scene in runs.items() if name in settings["held_out"]]
 
 
 def fine_deposit(scene: Scene, settings: Mapping[str, Any]) -> Observed:
@@ -215,7 +243,7 @@ def fine_deposit(scene: Scene, settings: Mapping[str, Any]) -> Observed:
         seed=0,
         cache_directory=settings["cache"],
     )
-    return observe(reduction.lift(trajectory), settings["map_cell"])
+    return observe(reduction.lift(trajectory))
 
 
 def _scenes(settings: Mapping[str, Any]) -> list[Scene]:
