@@ -13,10 +13,11 @@ import yaml
 
 from gns_pl.errors import InputError
 from gns_pl.inverse import search as search_module
+from gns_pl.inverse.fit_errors import Row
 from gns_pl.inverse.observed import errors, observe
 from gns_pl.inverse.scenes import short_scene
 from gns_pl.inverse.search import Goal, Runs, search
-from gns_pl.inverse.solver_fit import Row, fit_solver
+from gns_pl.inverse.solver_fit import fit_solver
 from gns_pl.io.tables import read_table
 from gns_pl.scene import FACES, Body, Scene, Wall, write_scene
 from gns_pl.solvers.fitted import Factors, FittedSolver
@@ -29,14 +30,13 @@ from tests.conftest import SAND
 from tests.solvers.test_selection import MPM, column
 
 BOUNDS = {name: [0.3, 3.0] for name in vars(MPMFactors())}
+RETUNED = RetunedMPMSolver("mine", 5.0, MPM)
 HIDDEN = MPMFactors(wall_friction=0.75, internal_friction=0.9, cohesion=0.6, damping_rate=0.5)
 MOVES = ((0.1, 0.0), (0.2, 0.05))
 SCENES = [column(ratio).replace(name=f"column_{ratio:g}", duration=0.8) for ratio in (0.6, 1.0, 1.8)]
 
 
-def goal(
-    scenes: Sequence[Scene], solver: FittedSolver = RetunedMPMSolver("mine", 5.0, MPM), hidden: Factors = HIDDEN
-) -> Goal:
+def goal(scenes: Sequence[Scene], solver: FittedSolver = RETUNED, hidden: Factors = HIDDEN) -> Goal:
     """Slices of columns, the references made by the very solver with hidden factors."""
     own = replace(solver, factors=hidden)
     references = [observe(own.run(scene, interval=0.05, seed=n)) for n, scene in enumerate(scenes)]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.generation import reference_trajectory
 from gns_pl.inverse.fit import Floats
+from gns_pl.inverse.fit_errors import KINDS, Row, summary, table
 from gns_pl.inverse.observed import Observed, observe
 from gns_pl.inverse.scenes import short_scene
 from gns_pl.inverse.search import Goal, Runs, search
@@ -34,34 +34,6 @@ if TYPE_CHECKING:
 
 PLACEMENTS = 3
 """Of the particles, over which the errors on held-out scenes are averaged."""
-
-KINDS = {"fitted": False, "held_out": True}
-"""Key of a summary → whether its scenes were held out."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """Errors on a scene, before the fit and after it.
-
-    Attributes:
-        scene: its name.
-        held_out: it was not fitted to.
-        front_before: relative, of the distance within which 99 % of the mass lies.
-        front_after: likewise.
-        height_before: relative, of the mean height.
-        height_after: likewise.
-        map_before: part of the volume that is misplaced.
-        map_after: likewise.
-    """
-
-    scene: str
-    held_out: bool
-    front_before: float
-    front_after: float
-    height_before: float
-    height_after: float
-    map_before: float
-    map_after: float
 
 
 def fit_solver(
@@ -103,14 +75,14 @@ def fit_solver(
             judged = make_goal(held_out)
             rows += _rows(held_out, True, *(_mean_errors(judged, each) for each in (plain, factors)))
         write_table(out / f"{name}.csv", Row, rows, digits=4)
-        summary = {
+        how_fitted = {
             **fitted,
             "runs": len(runs.errors),
             "scenes": [scene.name for scene in scenes],
-            "errors": {kind: _summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
+            "errors": {kind: summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
         }
         path = out / f"{name}.yaml"
-        write_fitted(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), summary)
+        write_fitted(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), how_fitted)
     print(f"\n{table(rows)}\n\n{path}: {', '.join(f'{key} {value:.3g}' for key, value in vars(factors).items())}")
     print(f"To run it: {command('simulate')} solver={path} scene=mine.yaml")
     return path
@@ -119,36 +91,6 @@ def fit_solver(
 def _mean_errors(goal: Goal, factors: Factors) -> Floats:
     """Return the errors of every scene, the mean over placements that no fit has seen [S, 3]."""
     return np.asarray(np.mean([goal.errors(factors, 1000 * number) for number in range(1, PLACEMENTS + 1)], axis=0))
-
-
-def table(rows: Sequence[Row]) -> str:
-    """Return errors before and after as a Markdown table."""
-    lines = ["| scene | front | mean height | map |", "|---|---|---|---|"]
-    for row in rows:
-        pairs = [(row.front_before, row.front_after), (row.height_before, row.height_after)]
-        cells = [f"{100 * before:+.1f} → {100 * after:+.1f} %" for before, after in pairs]
-        lines.append(
-            f"| {row.scene}{', held out' if row.held_out else ''} | {cells[0]} | {cells[1]} | "
-            f"{row.map_before:.3f} → {row.map_after:.3f} |"
-        )
-    for kind, held in KINDS.items():
-        if any(row.held_out == held for row in rows):
-            both = _summary([row for row in rows if row.held_out == held])
-            cells = [" → ".join(f"{100 * value:.1f}" for value in both[key]) for key in ("front", "height")]
-            misplaced = " → ".join(f"{value:.3f}" for value in both["map"])
-            lines.append(f"| **rms, {kind.replace('_', ' ')}** | {cells[0]} % | {cells[1]} % | {misplaced} |")
-    return "\n".join(lines)
-
-
-def _summary(rows: Sequence[Row]) -> dict[str, list[float]]:
-    """Return the rms of every error over scenes, before and after."""
-    return {
-        key: [
-            round(math.sqrt(sum(getattr(row, f"{key}_{when}") ** 2 for row in rows) / max(1, len(rows))), 5)
-            for when in ("before", "after")
-        ]
-        for key in ("front", "height", "map")
-    }
 
 
 def _rows(scenes: Sequence[Scene], held_out: bool, before: Floats, after: Floats) -> list[Row]:

@@ -1,4 +1,4 @@
-"""Coarse MPM whose friction, cohesion and damping were fitted to fine MPM, as solvers of their own (docs/retuned.md)."""
+"""Coarse MPM whose friction, cohesion and damping were fitted to fine MPM, as a solver of its own (docs/retuned.md)."""
 
 from __future__ import annotations
 
