@@ -26,7 +26,7 @@ LISTS = (
 """Keys whose value is the name of a file, or a list of such names: [a,b]."""
 
 NAMES = (
-    *("resume", "data.root", "out", "cache", "source", "target", "deck", "records", "publish"),
+    *("resume", "data.root", "out", "cache", "start", "source", "target", "deck", "records", "publish"),
     *("weights.metadata", "weights.data", "choice.records", "choice.hybrid.*.learned", "hydra.run.dir"),
     *(
         "hydra.sweep.dir",

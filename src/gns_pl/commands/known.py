@@ -48,7 +48,7 @@ NUMBERS = (
     "training.optimisation.huber_delta",
 )
 TEXTS = (
-    *("solver", "out", "choice.records", "records", "publish", "source", "target", "deck", "data.root", "resume"),
+    *("solver", "start", "out", "choice.records", "records", "publish", "source", "target", "deck", "data.root", "resume"),
     *("weights.metadata", "weights.data", "weights.edge_update", "evaluation.split"),
     *("evaluation.film", "evaluation.stress.label"),
 )

@@ -130,7 +130,7 @@ def search(goal: Goal, bounds: Mapping[str, Sequence[float]], *, difference: flo
     lower, upper = (np.log([bounds[name][side] for name in names]).tolist() for side in (0, 1))
     box, start = Bounds(lower, upper), np.log(list(vars(goal.solver.factors).values())).tolist()
     if np.any(np.abs(box.share(start) - 0.5) > 0.5):
-        raise InputError("bounds: the factors with which the search begins, 1 each, must lie between them.")
+        raise InputError("bounds: the factors with which the search begins (start=, or 1 each) must lie between them.")
 
     def residual(logarithms: Floats) -> Floats:
         factors = tuple(np.round(np.exp(logarithms), 6).tolist())

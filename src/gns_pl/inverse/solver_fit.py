@@ -21,7 +21,7 @@ from gns_pl.io.tables import write_table
 from gns_pl.mpm.settings import solver_config, solver_version
 from gns_pl.scene import Scene, read_scene
 from gns_pl.solvers.fitted import Factors, FittedSolver
-from gns_pl.solvers.fitted_files import kind_of_solver, write_fitted
+from gns_pl.solvers.fitted_files import kind_of_solver, read_fitted, write_fitted
 from gns_pl.solvers.fitted_range import range_of
 from gns_pl.solvers.reduction import reduce_scene
 from gns_pl.solvers.retuned import RetunedMPMSolver
@@ -69,7 +69,9 @@ def fit_solver(
         goal = make_goal(scenes)
         parts = [goal.weights.tolist(), goal.interval, goal.seed, dict(fitted)]
         runs = Runs(out / "runs.json", hashed([goal.solver.identity(), [scene.to_dict() for scene in scenes], *parts]))
-        plain, factors = goal.solver.factors, search(goal, runs=runs, **how)
+        plain, factors = type(goal.solver.factors)(), search(goal, runs=runs, **how)
+        if tuple(vars(plain).values()) not in runs.errors:  # the search began elsewhere
+            runs.add(tuple(vars(plain).values()), goal.errors(plain))
         rows = _rows(scenes, False, *(runs.errors[tuple(vars(each).values())] for each in (plain, factors)))
         if held_out:
             judged = make_goal(held_out)
@@ -140,17 +142,26 @@ def fit_config(cfg: DictConfig) -> Path:
 
 
 def _unfitted(settings: Mapping[str, Any]) -> FittedSolver:
-    """Return the solver that is fitted, with factors of 1."""
+    """Return the solver that is fitted, with the factors with which the search begins."""
     what, name, cells = settings["solver"], settings["name"], float(settings["cells"])
     shallow: Mapping[str, Mapping[str, Any]] = settings["choice"]["shallow"]
+    solver: FittedSolver
     if what == "mpm":
-        return RetunedMPMSolver(name, cells, settings["choice"]["mpm"], num_threads=1)
-    if what not in shallow:
+        solver = RetunedMPMSolver(name, cells, settings["choice"]["mpm"], num_threads=1)
+    elif what in shallow:
+        parts = {key: value for key, value in shallow[what].items() if key != "cells"}
+        solver = FittedShallowSolver(name, cells, parts)
+    else:
         raise InputError(
             f"solver: {what} cannot be fitted{did_you_mean(what, ['mpm', *shallow])}; take mpm or a name of "
             f"choice.shallow ({', '.join(shallow)})."
         )
-    return FittedShallowSolver(name, cells, {key: value for key, value in shallow[what].items() if key != "cells"})
+    if settings["start"] is None:
+        return solver
+    start = read_fitted(settings["start"])
+    if type(start) is not type(solver):
+        raise InputError(f"start: {settings['start']} is a fit of {kind_of_solver(start)}, not of {what}.")
+    return replace(solver, factors=start.factors)
 
 
 def _groups(settings: Mapping[str, Any], solver: FittedSolver) -> tuple[list[Scene], list[Scene]]:
