@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,17 @@ def test_a_fit_writes_a_solver_and_its_errors(tmp_path: Path, capsys: pytest.Cap
     assert "aspect ratios of 0.6 to 1.8" in str(solver.out_of_range_reason(column(3.0)))
 
 
+def test_a_fit_may_begin_with_the_factors_of_another_one(tmp_path: Path) -> None:
+    """The errors before are those of factors of 1 all the same."""
+    begun = partial(goal, solver=replace(RETUNED, factors=HIDDEN))
+    how: dict[str, Any] = {"bounds": BOUNDS, "difference": 0.05, "budget": 5}
+    path = fit_solver(begun, SCENES[:1], out=tmp_path, name="mine", fitted={}, **how)
+    (row,) = read_table(tmp_path / "mine.csv", Row, "?")
+    assert (row.front_after, row.height_after, row.map_after) == (0.0, 0.0, 0.0) and abs(row.front_before) > 0.01
+    assert read_fitted(path).factors == HIDDEN
+    assert yaml.safe_load(path.read_text())["fitted"]["start"] == vars(HIDDEN)
+
+
 def test_a_run_that_becomes_unstable_is_a_bad_one_and_no_end() -> None:
     wanted = goal(SCENES[:1])
     settings = {**MPM, "courant": 30.0, "allow_large_courant": True, "damping_rate": 0.0}
@@ -149,6 +161,8 @@ def test_the_command_fits_a_layer_to_what_it_can_run(tmp_path: Path) -> None:
     solver = read_fitted(tmp_path / "runs/layer/layer.yaml")
     assert isinstance(solver, FittedShallowSolver) and solver.settings == {"earth_pressure": "at_rest"}
     assert solver.cells == 10.0 and solver.factors != ShallowFactors()
+    other = call(tmp_path, "fit.py", "start=runs/layer/layer.yaml", "scene=column_0.6.yaml", "held_out=[]")
+    assert other.returncode == 2 and "layer.yaml is a fit of shallow, not of mpm" in other.stderr
 
 
 @pytest.mark.parametrize(

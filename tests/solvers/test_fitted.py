@@ -18,9 +18,10 @@ from gns_pl.scene import FACES, Box, Wall
 from gns_pl.solvers.fitted import FittedSolver
 from gns_pl.solvers.fitted_files import read_fitted, write_fitted
 from gns_pl.solvers.fitted_range import range_of
+from gns_pl.solvers.reduction import reduce_scene
 from gns_pl.solvers.retuned import MPMFactors, RetunedMPMSolver
 from gns_pl.solvers.selection import Record
-from gns_pl.solvers.shallow import FittedShallowSolver, ShallowFactors
+from gns_pl.solvers.shallow import FittedShallowSolver, ShallowFactors, ShallowSolver
 from gns_pl.solvers.simulate import simulate_by_choice
 from tests.solvers.test_selection import MPM, ROUGH, column, record
 
@@ -92,7 +93,7 @@ def test_each_that_ships_has_a_card_a_range_and_its_errors(name: str) -> None:
     assert (FOLDER / f"{name}.md").read_text(encoding="utf-8").split("---\n", 2)[2].startswith(f"# {name}\n")
     rough, plane = column(1.0, sides=ROUGH), column(1.0)
     assert solver.out_of_range_reason(rough) is None and solver.out_of_range_reason(plane) is None
-    assert solver.out_of_range_reason(gns_pl.solvers.reduction.reduce_scene(plane).scene) is None
+    assert solver.out_of_range_reason(reduce_scene(plane).scene) is None
     for face in ("y-", "z-"):
         assert "other walls" in str(
             solver.out_of_range_reason(rough.replace(walls={**rough.walls, face: Wall("slip")}))
@@ -114,7 +115,7 @@ def test_a_fitted_layer_is_one_with_its_own_pressure_and_friction() -> None:
     np.testing.assert_array_equal(LAYER.run(scene).position, run.position)
     assert LAYER.run(scene).provenance["factors"] == {"earth_pressure": 1.5, "floor_friction": 0.5}
     plain = FittedShallowSolver("plain", 20.0, LAYER.settings)
-    assert plain.config(scene) == gns_pl.solvers.shallow.ShallowSolver("plain", 20.0, LAYER.settings).config(scene)
+    assert plain.config(scene) == ShallowSolver("plain", 20.0, LAYER.settings).config(scene)
     assert plain.identity() != LAYER.identity()
 
 

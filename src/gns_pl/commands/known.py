@@ -48,7 +48,19 @@ NUMBERS = (
     "training.optimisation.huber_delta",
 )
 TEXTS = (
-    *("solver", "start", "out", "choice.records", "records", "publish", "source", "target", "deck", "data.root", "resume"),
+    *(
+        "solver",
+        "start",
+        "out",
+        "choice.records",
+        "records",
+        "publish",
+        "source",
+        "target",
+        "deck",
+        "data.root",
+        "resume",
+    ),
     *("weights.metadata", "weights.data", "weights.edge_update", "evaluation.split"),
     *("evaluation.film", "evaluation.stress.label"),
 )

@@ -79,6 +79,7 @@ def fit_solver(
         write_table(out / f"{name}.csv", Row, rows, digits=4)
         how_fitted = {
             **fitted,
+            "start": dict(vars(goal.solver.factors)),
             "runs": len(runs.errors),
             "scenes": [scene.name for scene in scenes],
             "errors": {kind: summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
