@@ -14,7 +14,7 @@ from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
 from gns_pl.io.tables import write_table
 from gns_pl.models.shipped import FOLDER, fitted_names
-from gns_pl.scene import FACES, Box, Wall
+from gns_pl.scene import FACES, Box, Material, Wall
 from gns_pl.solvers.fitted import FittedSolver
 from gns_pl.solvers.fitted_files import read_fitted, write_fitted
 from gns_pl.solvers.fitted_range import range_of
@@ -91,7 +91,8 @@ def test_each_that_ships_has_a_card_a_range_and_its_errors(name: str) -> None:
     solver = gns_pl.load_solver(name)
     assert isinstance(solver, FittedSolver) and solver.name == name
     assert (FOLDER / f"{name}.md").read_text(encoding="utf-8").split("---\n", 2)[2].startswith(f"# {name}\n")
-    rough, plane = column(1.0, sides=ROUGH), column(1.0)
+    sand = {"sand": Material(**solver.fitted_range["materials"][0])}
+    rough, plane = column(1.0, sides=ROUGH, materials=sand), column(1.0, materials=sand)
     assert solver.out_of_range_reason(rough) is None and solver.out_of_range_reason(plane) is None
     assert solver.out_of_range_reason(reduce_scene(plane).scene) is None
     for face in ("y-", "z-"):
