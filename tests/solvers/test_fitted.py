@@ -92,7 +92,7 @@ def test_each_that_ships_has_a_card_a_range_and_its_errors(name: str) -> None:
     assert isinstance(solver, FittedSolver) and solver.name == name
     assert (FOLDER / f"{name}.md").read_text(encoding="utf-8").split("---\n", 2)[2].startswith(f"# {name}\n")
     sand = {"sand": Material(**solver.fitted_range["materials"][0])}
-    rough, plane = column(1.0, sides=ROUGH, materials=sand), column(1.0, materials=sand)
+    rough, plane = column(2.0, sides=ROUGH, materials=sand), column(2.0, materials=sand)
     assert solver.out_of_range_reason(rough) is None and solver.out_of_range_reason(plane) is None
     assert solver.out_of_range_reason(reduce_scene(plane).scene) is None
     for face in ("y-", "z-"):
