@@ -1,4 +1,4 @@
-"""python fit.py name=NAME [key=value …]: fit coarse MPM to fine MPM, as a solver of its own."""
+"""python fit.py name=NAME [key=value …]: fit a coarse solver to fine MPM, as a solver of its own."""
 
 from gns_pl.commands.fit import run
 

@@ -15,7 +15,7 @@ from tests.commands.in_process import ROOT, call
 TINY = [
     "choice.learned=[]",
     "choice.corrected=[]",
-    "choice.retuned=[]",
+    "choice.fitted=[]",
     "choice.hybrid={}",
     "choice.cells=[3,4]",
     "trivial.cells=3",

@@ -20,13 +20,13 @@ from gns_pl.scene.changes import encoded
 from gns_pl.text import quoted_value
 
 LISTS = (
-    *("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.corrected", "choice.retuned"),
+    *("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.corrected", "choice.fitted"),
     "hydra.searchpath",
 )
 """Keys whose value is the name of a file, or a list of such names: [a,b]."""
 
 NAMES = (
-    *("resume", "data.root", "out", "cache", "source", "target", "deck", "records", "publish"),
+    *("resume", "data.root", "out", "cache", "start", "source", "target", "deck", "records", "publish"),
     *("weights.metadata", "weights.data", "choice.records", "choice.hybrid.*.learned", "hydra.run.dir"),
     *(
         "hydra.sweep.dir",

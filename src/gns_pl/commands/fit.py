@@ -1,4 +1,4 @@
-"""python fit.py name=NAME [key=value …]: fit coarse MPM to fine MPM, as a solver of its own."""
+"""python fit.py name=NAME [key=value …]: fit a coarse solver to fine MPM, as a solver of its own."""
 
 import hydra
 from omegaconf import DictConfig
@@ -10,7 +10,7 @@ from gns_pl.commands.command import CONF, job, start
 def main(cfg: DictConfig) -> None:
     """Fit with one config."""
     with job("fit.py", cfg):
-        from gns_pl.inverse.retuning import fit_config
+        from gns_pl.inverse.solver_fit import fit_config
 
         fit_config(cfg)
 

@@ -48,7 +48,19 @@ NUMBERS = (
     "training.optimisation.huber_delta",
 )
 TEXTS = (
-    *("solver", "out", "choice.records", "records", "publish", "source", "target", "deck", "data.root", "resume"),
+    *(
+        "solver",
+        "start",
+        "out",
+        "choice.records",
+        "records",
+        "publish",
+        "source",
+        "target",
+        "deck",
+        "data.root",
+        "resume",
+    ),
     *("weights.metadata", "weights.data", "weights.edge_update", "evaluation.split"),
     *("evaluation.film", "evaluation.stress.label"),
 )
@@ -77,7 +89,7 @@ WHOLE = {
 POSITIVE = (
     *(f"{owner}mpm.{name}" for owner in MPM for name in ("courant", "cell_size")),
     *("frame_interval", "choice.frame_interval", "evaluation.duration", "evaluation.stress.interval"),
-    *("cells", "difference", "map_cell", "duration_tau", "fine.cells_per_metre", "fine.interval"),
+    *("cells", "difference", "duration_tau", "fine.cells_per_metre", "fine.interval"),
 )
 """Keys of numbers above zero."""
 

@@ -11,7 +11,7 @@ from gns_pl.scene import Scene, scene_from_dict
 from gns_pl.scene.checks import checked_number
 from gns_pl.scene.extent import initial_extent
 
-KEYS = ("domain", "bodies", "obstacles", "slope_deg")
+KEYS = ("domain", "bodies", "obstacles", "slope_deg", "walls")
 """What the short form of a scene may hold."""
 
 
@@ -30,9 +30,9 @@ def short_scene(
         name: of the scene.
         parts: `domain` [3] [m]; `bodies`, each with `size` and, unless zero, `position` [m] and `velocity` [m/s];
             `obstacles`, as in a scene file, with the floor's wall unless they name another; `slope_deg` by which
-            the box is inclined along x [degrees].
+            the box is inclined along x [degrees]; `walls`, face → wall, in the place of the common ones.
         material: of all bodies, as in a scene file.
-        walls: face → wall, likewise.
+        walls: face → wall, likewise, of all scenes.
         gravity: magnitude [m/s²].
         duration_tau: simulated time, in √(H0/g).
 
@@ -41,7 +41,8 @@ def short_scene(
     """
     owner = f"scenes.{name}"
     if not isinstance(parts, Mapping) or not {"domain", "bodies"} <= set(parts) <= set(KEYS):
-        raise InputError(f"{owner}: needs domain and bodies, and may have obstacles and slope_deg, not {parts!r}.")
+        raise InputError(f"{owner}: needs domain and bodies, and may have {', '.join(KEYS[2:])}, not {parts!r}.")
+    walls = {**walls, **parts.get("walls", {})}
     zero = [0.0] * len(parts["domain"])
     slope = math.radians(checked_number(owner, "slope_deg", parts.get("slope_deg", 0.0), 0.0))
     scene = scene_from_dict(

@@ -1,4 +1,4 @@
-"""Which four factors make coarse MPM leave the deposits of fine MPM: a search by runs alone.
+"""Which factors make a coarse solver leave the deposits of fine MPM: a search by runs alone.
 
 Every run of all scenes is kept as it is made, and the search is deterministic: one that was broken off finds its runs,
 and goes on after them.
@@ -21,10 +21,7 @@ from gns_pl.io.atomic import write_atomically
 from gns_pl.machine import available_cores
 from gns_pl.mpm import SimulationError
 from gns_pl.scene import Scene
-from gns_pl.solvers.retuned import Factors, RetunedMPMSolver
-
-NAMES = tuple(vars(Factors()))
-"""Names of the factors, in the order of the unknowns, which are their logarithms."""
+from gns_pl.solvers.fitted import Factors, FittedSolver
 
 FAILED = 2.0
 """Each error of a run that became unstable."""
@@ -42,18 +39,25 @@ class Goal:
         scenes: to fit to.
         references: the fine deposit of each.
         weights: of the errors of front, mean height and map, [3].
-        map_cell: of the grid of the map [m].
         interval: time between frames [s].
         seed: of the particles' placement in the first scene; the next scene has the next one.
     """
 
-    solver: RetunedMPMSolver
+    solver: FittedSolver
     scenes: Sequence[Scene]
     references: Sequence[Observed]
     weights: Floats
-    map_cell: float
     interval: float
     seed: int = 0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the factors, in the order of the unknowns, which are their logarithms."""
+        return tuple(vars(self.solver.factors))
+
+    def factors(self, values: Sequence[float]) -> Factors:
+        """Return factors of the solver from their values, in the order of `names`."""
+        return replace(self.solver.factors, **dict(zip(self.names, values, strict=True)))
 
     def errors(self, factors: Factors, shift: int = 0) -> Floats:
         """Return the errors of front, mean height and map of every scene [S, 3].
@@ -62,7 +66,7 @@ class Goal:
             factors: with which all scenes are run, one a core.
             shift: of the seeds.
         """
-        solver = replace(self.solver, factors=factors, num_threads=1)
+        solver = replace(self.solver, factors=factors)
 
         def missed(number: int) -> Floats:
             seed = self.seed + shift + number
@@ -70,7 +74,7 @@ class Goal:
                 trajectory = solver.run(self.scenes[number], interval=self.interval, seed=seed)
             except SimulationError:
                 return np.full(3, FAILED)
-            return errors(observe(trajectory, self.map_cell), self.references[number])
+            return errors(observe(trajectory), self.references[number])
 
         with ThreadPoolExecutor(available_cores()) as pool:  # the kernels let other threads run
             return np.array(list(pool.map(missed, range(len(self.scenes)))))
@@ -120,18 +124,20 @@ def search(goal: Goal, bounds: Mapping[str, Sequence[float]], *, difference: flo
     Raises:
         InputError: bounds of other names, not positive, or without the factors where the search begins.
     """
-    if set(bounds) != set(NAMES) or not all(0 < low < high for low, high in bounds.values()):
-        raise InputError(f"bounds: needs two positive numbers, the smaller first, for each of {', '.join(NAMES)}.")
-    lower, upper = (np.log([bounds[name][side] for name in NAMES]).tolist() for side in (0, 1))
+    names = goal.names
+    if set(bounds) != set(names) or not all(0 < low < high for low, high in bounds.values()):
+        raise InputError(f"bounds: needs two positive numbers, the smaller first, for each of {', '.join(names)}.")
+    lower, upper = (np.log([bounds[name][side] for name in names]).tolist() for side in (0, 1))
     box, start = Bounds(lower, upper), np.log(list(vars(goal.solver.factors).values())).tolist()
     if np.any(np.abs(box.share(start) - 0.5) > 0.5):
-        raise InputError("bounds: the factors with which the search begins, 1 each, must lie between them.")
+        raise InputError("bounds: the factors with which the search begins (start=, or 1 each) must lie between them.")
 
     def residual(logarithms: Floats) -> Floats:
         factors = tuple(np.round(np.exp(logarithms), 6).tolist())
         if factors not in runs.errors:
-            runs.add(factors, goal.errors(Factors(*factors)))
-            print(f"run {len(runs.errors)} of about {budget}: {described(factors, runs.errors[factors])}", flush=True)
+            runs.add(factors, goal.errors(goal.factors(factors)))
+            words = described(dict(zip(names, factors, strict=True)), runs.errors[factors])
+            print(f"run {len(runs.errors)} of about {budget}: {words}", flush=True)
         return np.asarray((goal.weights * runs.errors[factors]).ravel())
 
     solve(
@@ -140,18 +146,19 @@ def search(goal: Goal, bounds: Mapping[str, Sequence[float]], *, difference: flo
         box,
         difference=difference / float(box.extent.max()),
         tolerance=TOLERANCE,
-        most=max(1, budget // (len(NAMES) + 1)),
+        most=max(1, budget // (len(names) + 1)),
     )
-    return Factors(*min(runs.errors, key=lambda key: float(((goal.weights * runs.errors[key]) ** 2).sum())))
+    best = min(runs.errors, key=lambda key: float(((goal.weights * runs.errors[key]) ** 2).sum()))
+    return goal.factors(best)
 
 
-def described(factors: Sequence[float], values: Floats) -> str:
+def described(factors: Mapping[str, float], values: Floats) -> str:
     """Return errors and factors in words.
 
     Args:
-        factors: of `NAMES`.
+        factors: by their names.
         values: errors of every scene [S, 3].
     """
     front, height, misplaced = np.sqrt(np.mean(values**2, axis=0))
-    named = ", ".join(f"{name} {value:.3g}" for name, value in zip(NAMES, factors, strict=True))
+    named = ", ".join(f"{name} {value:.3g}" for name, value in factors.items())
     return f"front {100 * front:.1f} %, mean height {100 * height:.1f} %, map {misplaced:.3f} rms; {named}"

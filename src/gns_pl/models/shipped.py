@@ -1,4 +1,4 @@
-"""Checkpoints and correctors that come with the package, each with a model card beside it."""
+"""Checkpoints, correctors and fitted solvers that come with the package, each with a model card beside it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ CORRECTOR = ".corrector"
 CORRECTOR_KIND = "corrector"
 """model.kind of what corrects coarse MPM, in conf/model and in the checkpoints of its training."""
 
-RETUNED = ".yaml"
-"""Ending of the files of retuned MPM."""
+FITTED = ".yaml"
+"""Ending of the files of solvers whose scalars were fitted."""
 
 
 def pretrained_names() -> list[str]:
@@ -46,20 +46,20 @@ def find_corrector(path: str | Path) -> Path:
     return shipped if shipped.is_file() and not Path(path).is_file() else Path(path)
 
 
-def retuned_names() -> list[str]:
-    """Return the names of the retuned MPM solvers that come with the package."""
-    return sorted(path.stem for path in FOLDER.glob(f"*{RETUNED}"))
+def fitted_names() -> list[str]:
+    """Return the names of the solvers with fitted scalars that come with the package."""
+    return sorted(path.stem for path in FOLDER.glob(f"*{FITTED}"))
 
 
-def find_retuned(path: str | Path) -> Path:
-    """Return the path of a retuned solver: that of one that comes with the package if its bare name is given."""
-    shipped = FOLDER / f"{path}{RETUNED}"
+def find_fitted(path: str | Path) -> Path:
+    """Return the path of a fitted solver: that of one that comes with the package if its bare name is given."""
+    shipped = FOLDER / f"{path}{FITTED}"
     return shipped if shipped.is_file() and not Path(path).exists() else Path(path)
 
 
-def is_retuned(path: str | Path) -> bool:
-    """Return whether a name or a file is a retuned solver."""
-    return find_retuned(path).suffix == RETUNED
+def is_fitted(path: str | Path) -> bool:
+    """Return whether a name or a file is a fitted solver."""
+    return find_fitted(path).suffix == FITTED
 
 
 def is_corrector(path: str | Path) -> bool:

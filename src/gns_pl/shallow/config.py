@@ -22,6 +22,7 @@ class ShallowConfig:
         cell_size: wanted edge of a grid cell [m]; each horizontal axis takes the nearest size that divides the box.
         courant: time step over cell / (speed + speed of surface waves), up to `COURANT_LIMIT`.
         friction: coefficient tan δ of every floor; None: of each floor that of its wall, and at most tan φ of the sand.
+        friction_factor: on tan δ of every floor, after that limit.
         earth_pressure: horizontal over vertical stress k; 1 as in a liquid.
         rain: height over length of the standing part of a column; what is above falls freely and is added to the layer
             without horizontal momentum (Larrieu, Staron and Hinch 2006). None: nothing rains.
@@ -34,12 +35,13 @@ class ShallowConfig:
     cell_size: float
     courant: float = 0.45
     friction: float | None = None
+    friction_factor: float = 1.0
     earth_pressure: float = 1.0
     rain: float | None = None
     num_particles: int | None = None
 
     def __post_init__(self) -> None:
-        for name in ("cell_size", "courant", "earth_pressure"):
+        for name in ("cell_size", "courant", "friction_factor", "earth_pressure"):
             object.__setattr__(self, name, checked_number("shallow", name, getattr(self, name), 0.0, above=True))
         for name in ("friction", "rain"):
             if getattr(self, name) is not None:

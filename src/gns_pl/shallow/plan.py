@@ -167,7 +167,7 @@ def make_ground(scene: Scene, grid: Grid, config: ShallowConfig) -> Ground:
         friction[:] = config.friction
     k = config.earth_pressure
     gravity = -scene.gravity[-1] * k * flatness
-    return Ground(height, slopes / k + (height - base), gravity, friction / k)
+    return Ground(height, slopes / k + (height - base), gravity, config.friction_factor * friction / k)
 
 
 def make_layer(scene: Scene, grid: Grid, height: Floats, rain: float | None) -> tuple[Floats, Floats, Floats, Floats]:

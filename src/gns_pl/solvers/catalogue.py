@@ -15,19 +15,19 @@ from gns_pl.models.shipped import (
     existing_checkpoint,
     find_checkpoint,
     find_corrector,
+    fitted_names,
     is_corrector,
-    is_retuned,
+    is_fitted,
     pretrained_names,
-    retuned_names,
 )
 from gns_pl.mpm import settings as mpm_settings
 from gns_pl.presets import preset
 from gns_pl.rollout.policy import Policy
 from gns_pl.solvers.corrected import CorrectedSolver
+from gns_pl.solvers.fitted_files import read_fitted
 from gns_pl.solvers.hybrid import HybridSolver
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.mpm import MPMSolver
-from gns_pl.solvers.retuned import read_retuned
 from gns_pl.solvers.shallow import ShallowSolver
 from gns_pl.solvers.solver import Solver
 from gns_pl.text import did_you_mean
@@ -60,7 +60,7 @@ def make_solvers(choice: Mapping[str, Any], policy: Policy | None = None) -> lis
     """Return the solvers that a configuration names (conf/choice).
 
     Args:
-        choice: {learned, corrected, hybrid, cells, mpm, retuned, shallow, others}; what is missing names none.
+        choice: {learned, corrected, hybrid, cells, mpm, fitted, shallow, others}; what is missing names none.
         policy: how learned ones are run.
 
     Raises:
@@ -84,7 +84,7 @@ def make_solvers(choice: Mapping[str, Any], policy: Policy | None = None) -> lis
         solvers.append(HybridSolver(name, learned, parts["until"]))
     for cells in choice.get("cells", ()):
         solvers.append(MPMSolver(f"mpm_{cells:g}", float(cells), choice["mpm"]))
-    solvers += map(read_retuned, choice.get("retuned", ()))
+    solvers += map(read_fitted, choice.get("fitted", ()))
     for name, parts in (choice.get("shallow") or {}).items():
         if "cells" not in parts:
             raise InputError(f"choice.shallow.{name}: needs cells, over √(L0 H0).")
@@ -107,7 +107,7 @@ def load_solver(
 
     Args:
         name: of what comes with the package ("column-fast", "corrected_plane", "mpm_10.2", "mpm-retuned-5"), a
-            checkpoint's, corrector's or retuned solver's file, "mpm", a registered name, or "module.Class" of one of
+            checkpoint's, corrector's or fitted solver's file, "mpm", a registered name, or "module.Class" of one of
             your own.
         device: "cpu", "cuda", or "auto": where it is measured to run best.
         policy: how a learned one is run.
@@ -128,8 +128,8 @@ def load_solver(
         if not find_corrector(name).is_file():
             raise InputError(f"{name}: there is no such corrector.")
         return CorrectedSolver(solver_name(name), name).on(device)
-    if is_retuned(name):
-        return read_retuned(name).on(device)
+    if is_fitted(name):
+        return read_fitted(name).on(device)
     if find_checkpoint(name).is_file():
         return LearnedSolver(solver_name(find_checkpoint(name)), name, policy or Policy()).on(device)
     solvers = {solver.name: solver for solver in make_solvers({**choice, "learned": [], "corrected": []}, policy)}
@@ -144,7 +144,7 @@ def load_solver(
 def known_names(choice: Mapping[str, Any]) -> list[str]:
     """Return the names by which solvers can be asked for."""
     cells = [f"mpm_{cells:g}" for cells in choice.get("cells", ())]
-    shipped = [*pretrained_names(), *ALIASES, *corrector_names(), *retuned_names(), *(choice.get("hybrid") or {})]
+    shipped = [*pretrained_names(), *ALIASES, *corrector_names(), *fitted_names(), *(choice.get("hybrid") or {})]
     return list(dict.fromkeys(["mpm", *cells, *shipped, *(choice.get("shallow") or {}), *REGISTERED]))
 
 

@@ -12,6 +12,7 @@ import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.scene import Scene
 from gns_pl.shallow import ShallowConfig, simulate, unsupported_reason
+from gns_pl.solvers.fitted import Factors, FittedSolver
 from gns_pl.solvers.mpm import FRAME_INTERVAL
 from gns_pl.solvers.reduction import Reduction, reduce_scene
 from gns_pl.solvers.solver import Solver, characteristic_size, hashed
@@ -107,3 +108,33 @@ class ShallowSolver(Solver):
         seconds = time.perf_counter() - began
         provenance = {**trajectory.provenance, **self.facts(scene), "seed": seed, "wall_seconds": seconds}
         return reduction.lift(replace(trajectory, provenance=provenance))
+
+
+@dataclass(frozen=True)
+class ShallowFactors(Factors):
+    """By what depth-averaged flow changes its own scalars.
+
+    Attributes:
+        earth_pressure: on the horizontal earth pressure k of the settings.
+        floor_friction: on tan δ of every floor.
+    """
+
+    earth_pressure: float = 1.0
+    floor_friction: float = 1.0
+
+
+@dataclass(frozen=True)
+class FittedShallowSolver(FittedSolver, ShallowSolver):
+    """Depth-averaged flow with fitted factors; all that depth-averaged flow runs it runs.
+
+    Attributes:
+        factors: that were fitted, for these cells over √(L0 H0).
+    """
+
+    factors: ShallowFactors = field(default_factory=ShallowFactors)
+
+    def config(self, scene: Scene) -> ShallowConfig:
+        """Return the settings for a scene, the factors multiplied in."""
+        config, factors = super().config(scene), self.factors
+        pressure = factors.earth_pressure * config.earth_pressure
+        return replace(config, earth_pressure=pressure, friction_factor=factors.floor_friction * config.friction_factor)

@@ -1,10 +1,9 @@
-"""The fit of coarse MPM to fine MPM: references, search, errors before and after, and the solver's file."""
+"""The fit of a coarse solver to fine MPM: references, search, errors before and after, and the solver's file."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.generation import reference_trajectory
 from gns_pl.inverse.fit import Floats
+from gns_pl.inverse.fit_errors import KINDS, Row, summary, table
 from gns_pl.inverse.observed import Observed, observe
 from gns_pl.inverse.scenes import short_scene
 from gns_pl.inverse.search import Goal, Runs, search
@@ -20,10 +20,14 @@ from gns_pl.io.lock import locked
 from gns_pl.io.tables import write_table
 from gns_pl.mpm.settings import solver_config, solver_version
 from gns_pl.scene import Scene, read_scene
+from gns_pl.solvers.fitted import Factors, FittedSolver
+from gns_pl.solvers.fitted_files import kind_of_solver, read_fitted, write_fitted
+from gns_pl.solvers.fitted_range import range_of
 from gns_pl.solvers.reduction import reduce_scene
-from gns_pl.solvers.retuned import Factors, RetunedMPMSolver, range_of, write_retuned
+from gns_pl.solvers.retuned import RetunedMPMSolver
+from gns_pl.solvers.shallow import FittedShallowSolver
 from gns_pl.solvers.solver import hashed
-from gns_pl.text import command
+from gns_pl.text import command, did_you_mean
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -31,36 +35,8 @@ if TYPE_CHECKING:
 PLACEMENTS = 3
 """Of the particles, over which the errors on held-out scenes are averaged."""
 
-KINDS = {"fitted": False, "held_out": True}
-"""Key of a summary → whether its scenes were held out."""
 
-
-@dataclass(frozen=True)
-class Row:
-    """Errors on a scene, before the fit and after it.
-
-    Attributes:
-        scene: its name.
-        held_out: it was not fitted to.
-        front_before: relative, of the distance within which 99 % of the mass lies.
-        front_after: likewise.
-        height_before: relative, of the mean height.
-        height_after: likewise.
-        map_before: part of the volume that is misplaced.
-        map_after: likewise.
-    """
-
-    scene: str
-    held_out: bool
-    front_before: float
-    front_after: float
-    height_before: float
-    height_after: float
-    map_before: float
-    map_after: float
-
-
-def retune(
+def fit_solver(
     make_goal: Callable[[Sequence[Scene]], Goal],
     scenes: Sequence[Scene],
     held_out: Sequence[Scene] = (),
@@ -91,23 +67,25 @@ def retune(
     out.mkdir(parents=True, exist_ok=True)
     with locked(out / ".fit.lock", on_wait=lambda: print(f"{out}: another fit is writing here; waiting for it")):
         goal = make_goal(scenes)
-        parts = [goal.weights.tolist(), goal.map_cell, goal.interval, goal.seed, dict(fitted)]
+        parts = [goal.weights.tolist(), goal.interval, goal.seed, dict(fitted)]
         runs = Runs(out / "runs.json", hashed([goal.solver.identity(), [scene.to_dict() for scene in scenes], *parts]))
-        plain, factors = goal.solver.factors, search(goal, runs=runs, **how)
+        plain, factors = type(goal.solver.factors)(), search(goal, runs=runs, **how)
+        if tuple(vars(plain).values()) not in runs.errors:  # the search began elsewhere
+            runs.add(tuple(vars(plain).values()), goal.errors(plain))
         rows = _rows(scenes, False, *(runs.errors[tuple(vars(each).values())] for each in (plain, factors)))
         if held_out:
             judged = make_goal(held_out)
             rows += _rows(held_out, True, *(_mean_errors(judged, each) for each in (plain, factors)))
         write_table(out / f"{name}.csv", Row, rows, digits=4)
-        summary = {
+        how_fitted = {
             **fitted,
+            "start": dict(vars(goal.solver.factors)),
             "runs": len(runs.errors),
             "scenes": [scene.name for scene in scenes],
-            "errors": {kind: _summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
-            "solver_version": solver_version(goal.solver.settings),
+            "errors": {kind: summary([row for row in rows if row.held_out == held]) for kind, held in KINDS.items()},
         }
         path = out / f"{name}.yaml"
-        write_retuned(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), summary)
+        write_fitted(path, replace(goal.solver, factors=factors, fitted_range=range_of(scenes)), how_fitted)
     print(f"\n{table(rows)}\n\n{path}: {', '.join(f'{key} {value:.3g}' for key, value in vars(factors).items())}")
     print(f"To run it: {command('simulate')} solver={path} scene=mine.yaml")
     return path
@@ -116,36 +94,6 @@ def retune(
 def _mean_errors(goal: Goal, factors: Factors) -> Floats:
     """Return the errors of every scene, the mean over placements that no fit has seen [S, 3]."""
     return np.asarray(np.mean([goal.errors(factors, 1000 * number) for number in range(1, PLACEMENTS + 1)], axis=0))
-
-
-def table(rows: Sequence[Row]) -> str:
-    """Return errors before and after as a Markdown table."""
-    lines = ["| scene | front | mean height | map |", "|---|---|---|---|"]
-    for row in rows:
-        pairs = [(row.front_before, row.front_after), (row.height_before, row.height_after)]
-        cells = [f"{100 * before:+.1f} → {100 * after:+.1f} %" for before, after in pairs]
-        lines.append(
-            f"| {row.scene}{', held out' if row.held_out else ''} | {cells[0]} | {cells[1]} | "
-            f"{row.map_before:.3f} → {row.map_after:.3f} |"
-        )
-    for kind, held in KINDS.items():
-        if any(row.held_out == held for row in rows):
-            both = _summary([row for row in rows if row.held_out == held])
-            cells = [" → ".join(f"{100 * value:.1f}" for value in both[key]) for key in ("front", "height")]
-            misplaced = " → ".join(f"{value:.3f}" for value in both["map"])
-            lines.append(f"| **rms, {kind.replace('_', ' ')}** | {cells[0]} % | {cells[1]} % | {misplaced} |")
-    return "\n".join(lines)
-
-
-def _summary(rows: Sequence[Row]) -> dict[str, list[float]]:
-    """Return the rms of every error over scenes, before and after."""
-    return {
-        key: [
-            round(math.sqrt(sum(getattr(row, f"{key}_{when}") ** 2 for row in rows) / max(1, len(rows))), 5)
-            for when in ("before", "after")
-        ]
-        for key in ("front", "height", "map")
-    }
 
 
 def _rows(scenes: Sequence[Scene], held_out: bool, before: Floats, after: Floats) -> list[Row]:
@@ -164,40 +112,74 @@ def fit_config(cfg: DictConfig) -> Path:
     from omegaconf import OmegaConf
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    scenes = {scene.name: scene for scene in _scenes(settings)}
-    unknown = [name for name in settings["held_out"] if name not in scenes]
-    if unknown and settings["scene"] is None:
-        raise InputError(f"held_out: there is no scene {unknown[0]}; there are {', '.join(scenes)}.")
-    held_out = [scene for name, scene in scenes.items() if name in settings["held_out"]]
-    fitted = [scene for name, scene in scenes.items() if name not in settings["held_out"]]
-    if not fitted:
-        raise InputError("held_out: all scenes are held out; leave some to fit to.")
-    weights = settings["weights"]
+    solver = _unfitted(settings)
+    fitted, held_out = _groups(settings, solver)
+    weights, mpm, fine = settings["weights"], settings["choice"]["mpm"], settings["fine"]
     if set(weights) != {"front", "height", "map"}:
         raise InputError(f"weights: needs front, height and map, not {', '.join(weights)}.")
-    mpm, fine = settings["choice"]["mpm"], settings["fine"]
-    solver_config({**mpm, "cell_size": 1 / fine["cells_per_metre"]})
+    fine_settings = {**mpm, "cell_size": 1 / fine["cells_per_metre"]}
+    solver_config(fine_settings)  # refuses what no run can have
 
     def make_goal(group: Sequence[Scene]) -> Goal:
         return Goal(
-            solver=RetunedMPMSolver(settings["name"], float(settings["cells"]), mpm),
+            solver=solver,
             scenes=group,
             references=[fine_deposit(scene, settings) for scene in group],
             weights=np.array([weights[key] for key in ("front", "height", "map")], dtype=np.float64),
-            map_cell=settings["map_cell"],
             interval=fine["interval"],
             seed=settings["seed"],
         )
 
-    return retune(
+    return fit_solver(
         make_goal,
         fitted,
         held_out,
         out=Path(settings["out"]),
         name=settings["name"],
-        fitted={"fine": fine, "weights": weights},
-        **{key: settings[key] for key in ("bounds", "difference", "budget")},
+        fitted={"fine": {**fine, "solver_version": solver_version(fine_settings)}, "weights": weights},
+        bounds=settings["bounds"][kind_of_solver(solver)],
+        **{key: settings[key] for key in ("difference", "budget")},
     )
+
+
+def _unfitted(settings: Mapping[str, Any]) -> FittedSolver:
+    """Return the solver that is fitted, with the factors with which the search begins."""
+    what, name, cells = settings["solver"], settings["name"], float(settings["cells"])
+    shallow: Mapping[str, Mapping[str, Any]] = settings["choice"]["shallow"]
+    solver: FittedSolver
+    if what == "mpm":
+        solver = RetunedMPMSolver(name, cells, settings["choice"]["mpm"], num_threads=1)
+    elif what in shallow:
+        parts = {key: value for key, value in shallow[what].items() if key != "cells"}
+        solver = FittedShallowSolver(name, cells, parts)
+    else:
+        raise InputError(
+            f"solver: {what} cannot be fitted{did_you_mean(what, ['mpm', *shallow])}; take mpm or a name of "
+            f"choice.shallow ({', '.join(shallow)})."
+        )
+    if settings["start"] is None:
+        return solver
+    start = read_fitted(settings["start"])
+    if type(start) is not type(solver):
+        raise InputError(f"start: {settings['start']} is a fit of {kind_of_solver(start)}, not of {what}.")
+    return replace(solver, factors=start.factors)
+
+
+def _groups(settings: Mapping[str, Any], solver: FittedSolver) -> tuple[list[Scene], list[Scene]]:
+    """Return the scenes to fit to and those held out, without what the solver cannot run, which is printed."""
+    scenes = {scene.name: scene for scene in _scenes(settings)}
+    unknown = [name for name in settings["held_out"] if name not in scenes]
+    if unknown and settings["scene"] is None:
+        raise InputError(f"held_out: there is no scene {unknown[0]}; there are {', '.join(scenes)}.")
+    reasons = {name: solver.unsupported_reason(scene) for name, scene in scenes.items()}
+    runs = {name: scene for name, scene in scenes.items() if reasons[name] is None}
+    fitted = [scene for name, scene in runs.items() if name not in settings["held_out"]]
+    if not fitted:
+        raise InputError("held_out: no scene is left to fit to, of those that the solver can run; hold out fewer.")
+    for name, reason in reasons.items():
+        if reason is not None:
+            print(f"{name}: left out; {reason}")
+    return fitted, [scene for name, scene in runs.items() if name in settings["held_out"]]
 
 
 def fine_deposit(scene: Scene, settings: Mapping[str, Any]) -> Observed:
@@ -215,7 +197,7 @@ def fine_deposit(scene: Scene, settings: Mapping[str, Any]) -> Observed:
         seed=0,
         cache_directory=settings["cache"],
     )
-    return observe(reduction.lift(trajectory), settings["map_cell"])
+    return observe(reduction.lift(trajectory))
 
 
 def _scenes(settings: Mapping[str, Any]) -> list[Scene]:
