@@ -162,7 +162,7 @@ def _unfitted(settings: Mapping[str, Any]) -> FittedSolver:
     start = read_fitted(settings["start"])
     if type(start) is not type(solver):
         raise InputError(f"start: {settings['start']} is a fit of {kind_of_solver(start)}, not of {what}.")
-    return replace(solver, factors=start.factors)
+    return replace(solver, factors=start.factors)  # type: ignore[arg-type]  # of the same kind as the solver
 
 
 def _groups(settings: Mapping[str, Any], solver: FittedSolver) -> tuple[list[Scene], list[Scene]]:
