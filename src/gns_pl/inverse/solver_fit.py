@@ -112,7 +112,7 @@ def fit_config(cfg: DictConfig) -> Path:
     from omegaconf import OmegaConf
 
     settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    solver = _unfitted(settings)
+    solver = _begun(settings)
     fitted, held_out = _groups(settings, solver)
     weights, mpm, fine = settings["weights"], settings["choice"]["mpm"], settings["fine"]
     if set(weights) != {"front", "height", "map"}:
@@ -142,27 +142,31 @@ def fit_config(cfg: DictConfig) -> Path:
     )
 
 
-def _unfitted(settings: Mapping[str, Any]) -> FittedSolver:
+def _begun(settings: Mapping[str, Any]) -> FittedSolver:
     """Return the solver that is fitted, with the factors with which the search begins."""
-    what, name, cells = settings["solver"], settings["name"], float(settings["cells"])
-    shallow: Mapping[str, Mapping[str, Any]] = settings["choice"]["shallow"]
-    solver: FittedSolver
-    if what == "mpm":
-        solver = RetunedMPMSolver(name, cells, settings["choice"]["mpm"], num_threads=1)
-    elif what in shallow:
-        parts = {key: value for key, value in shallow[what].items() if key != "cells"}
-        solver = FittedShallowSolver(name, cells, parts)
-    else:
-        raise InputError(
-            f"solver: {what} cannot be fitted{did_you_mean(what, ['mpm', *shallow])}; take mpm or a name of "
-            f"choice.shallow ({', '.join(shallow)})."
-        )
+    solver = _unfitted(settings)
     if settings["start"] is None:
         return solver
     start = read_fitted(settings["start"])
     if type(start) is not type(solver):
-        raise InputError(f"start: {settings['start']} is a fit of {kind_of_solver(start)}, not of {what}.")
-    return replace(solver, factors=start.factors)  # type: ignore[arg-type]  # of the same kind as the solver
+        raise InputError(
+            f"start: {settings['start']} is a fit of {kind_of_solver(start)}, not of {kind_of_solver(solver)}."
+        )
+    return replace(solver, factors=start.factors)
+
+
+def _unfitted(settings: Mapping[str, Any]) -> FittedSolver:
+    """Return the solver that is fitted, with factors of 1."""
+    what, name, cells = settings["solver"], settings["name"], float(settings["cells"])
+    shallow: Mapping[str, Mapping[str, Any]] = settings["choice"]["shallow"]
+    if what == "mpm":
+        return RetunedMPMSolver(name, cells, settings["choice"]["mpm"], num_threads=1)
+    if what not in shallow:
+        raise InputError(
+            f"solver: {what} cannot be fitted{did_you_mean(what, ['mpm', *shallow])}; take mpm or a name of "
+            f"choice.shallow ({', '.join(shallow)})."
+        )
+    return FittedShallowSolver(name, cells, {key: value for key, value in shallow[what].items() if key != "cells"})
 
 
 def _groups(settings: Mapping[str, Any], solver: FittedSolver) -> tuple[list[Scene], list[Scene]]:
