@@ -20,7 +20,7 @@ from gns_pl.scene.changes import encoded
 from gns_pl.text import quoted_value
 
 LISTS = (
-    *("ckpt", "scene", "evaluation.scenes", "choice.learned", "choice.corrected", "choice.fitted"),
+    *("ckpt", "scene", "sets", "evaluation.scenes", "choice.learned", "choice.corrected", "choice.fitted"),
     "hydra.searchpath",
 )
 """Keys whose value is the name of a file, or a list of such names: [a,b]."""

@@ -64,13 +64,14 @@ TEXTS = (
     *("weights.metadata", "weights.data", "weights.edge_update", "evaluation.split"),
     *("evaluation.film", "evaluation.stress.label"),
 )
-SEVERAL = ("ckpt", "scene", *(f"evaluation.{name}" for name in ("scenes", "only", "stress.only", "stress.axes")))
+SEVERAL = ("ckpt", "scene", "sets", *(f"evaluation.{name}" for name in ("scenes", "only", "stress.only", "stress.axes")))
 KINDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(NUMBERS, ("number",)),
     **dict.fromkeys(TEXTS, ("text",)),
     **dict.fromkeys(SEVERAL, ("text", "list")),
     **dict.fromkeys(("lower", "upper", "evaluation.stress.shown", "model.material_features"), ("list",)),
     **dict.fromkeys(("name", "description", "gravity_axis"), ("text", "number")),
+    "threads": ("number", "list"),
     "types": ("mapping",),
 }
 """Kinds of values of keys that are null unless somebody sets them, and of words that may look like a number."""
@@ -80,7 +81,7 @@ MPM = ("", "choice.", "data.", "evaluation.stress.")
 
 WHOLE = {
     **dict.fromkeys(("seed", "data.seed", "evaluation.seed", "evaluation.stress.seed", "evaluation.placements"), 0),
-    **dict.fromkeys(("num_workers", "threads", "placements", "budget"), 1),
+    **dict.fromkeys(("num_workers", "placements", "budget"), 1),
     **dict.fromkeys(("batches.turns", "valid", "test"), 0),
     **dict.fromkeys((f"{owner}mpm.points_per_direction" for owner in MPM), 1),
 }

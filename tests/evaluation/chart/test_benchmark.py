@@ -49,6 +49,12 @@ def settings(folder: Path, **changes: Any) -> dict[str, Any]:
     return values | changes
 
 
+@pytest.fixture(autouse=True)
+def no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Times do not matter here."""
+    monkeypatch.setattr(speed, "SPIN", 0.0)
+
+
 @pytest.fixture
 def scene() -> Scene:
     return column(1.0)

@@ -31,6 +31,9 @@ from gns_pl.solvers.selection import kind_of
 from gns_pl.solvers.solver import Solver, hashed
 from gns_pl.trajectory import Trajectory
 
+SPIN = 0.1
+"""Time that idle threads of numerical libraries go on waiting busily, and are in the way of what is timed [s]."""
+
 PACKAGES = ("gns_pl", "torch", "numba", "numpy")
 
 
@@ -83,6 +86,7 @@ def on_threads(number: int) -> Iterator[int]:
 
 def timed_run(entry: Solver, judged: Converged, seed: int) -> tuple[Trajectory | None, float, float]:
     """Return what a setting makes of a scene, None if it fails, wall time, and this process's processor time [s]."""
+    time.sleep(SPIN)
     began, busy = time.perf_counter(), time.process_time()
     try:
         made: Trajectory | None = entry.run(scene_of(entry, judged), interval=judged.interval, seed=seed)

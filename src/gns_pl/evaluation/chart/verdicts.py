@@ -70,6 +70,8 @@ class Verdict:
         else:
             factor = self.as_fast.error / error if error else float("inf")
             compared = f"{factor:.2g} times as much" if factor >= 1 else f"{1 / factor:.2g} times less"
+            if abs(factor - 1) < TIE:
+                compared = "about as much"
             off = f"{percent(self.as_fast.error)}, {compared}"
             fast = f"the most accurate as fast, `{self.as_fast.name}`, errs by {off}"
         return f"{own}: {good}; {fast}"
