@@ -63,7 +63,7 @@ def _import_once() -> None:
 
 @pytest.fixture(autouse=True, scope="module")
 def _generate_in_this_process(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Sets so small are made sooner than processes for them: there are none where the generation is not what is tested."""
+    """Sets so small are made sooner than processes for them, and only tests of the generation need such processes."""
     with pytest.MonkeyPatch.context() as patch:
         if not request.module.__name__.startswith("tests.generation"):
             patch.setattr("gns_pl.generation.dataset.available_cores", lambda: 1)
