@@ -18,8 +18,9 @@ quickstart: $(STAMP)
 	$(BIN)/python train.py +experiment=quickstart
 	$(BIN)/python evaluate.py ckpt=runs/quickstart/last.ckpt
 
+# In the order of the files: modules of few tests, which xdist would keep for the end, are the long ones.
 test: $(STAMP)
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope --no-loadscope-reorder
 
 # The wheel's commands and configuration in an empty folder, the README's Python and an exported step: slow tests, but of every push.
 package: $(STAMP)
