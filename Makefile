@@ -18,19 +18,20 @@ quickstart: $(STAMP)
 	$(BIN)/python train.py +experiment=quickstart
 	$(BIN)/python evaluate.py ckpt=runs/quickstart/last.ckpt
 
+# In the order of the files: modules of few tests, which xdist would keep for the end, are the long ones.
 test: $(STAMP)
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadscope --no-loadscope-reorder
 
 # The wheel's commands and configuration in an empty folder, the README's Python and an exported step: slow tests, but of every push.
 package: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m slow tests/commands/test_cli.py tests/docs/test_python.py tests/convert/test_program.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m slow tests/commands/test_cli.py tests/docs/test_python.py tests/convert/test_program.py
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
 # The kernel is this environment's, whatever kernels a user has.
 notebooks: $(STAMP)
-	JUPYTER_PREFER_ENV_PATH=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --nbmake notebooks --nbmake-timeout=600 --nbmake-kernel=python3 --durations=4
+	JUPYTER_PREFER_ENV_PATH=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal --nbmake notebooks --nbmake-timeout=600 --nbmake-kernel=python3 --durations=4
 
 validation: $(STAMP)
 	$(BIN)/python benchmarks/mpm_validation.py

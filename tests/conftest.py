@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable
+import socket
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 import numpy as np
@@ -36,8 +38,36 @@ SAND = Material(density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_an
 
 def start_processes(work: Callable[..., None], arguments: tuple[Any, ...], number: int) -> None:
     """Call `work(rank, *arguments)` in processes of their own, forked from one that has imported what takes seconds."""
-    multiprocessing.set_forkserver_preload(["gns_pl.training.train"])
+    _import_once()
     torch.multiprocessing.start_processes(work, arguments, nprocs=number, start_method="forkserver")
+
+
+def start_process(work: Callable[..., object], *arguments: Any) -> BaseProcess:
+    """Call `work(*arguments)` in a process of its own, which may be killed; forked as those of `start_processes`."""
+    _import_once()
+    process = multiprocessing.get_context("forkserver").Process(target=work, args=arguments)
+    process.start()
+    return process
+
+
+def free_port() -> int:
+    """Return a port of this machine at which processes can meet."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def _import_once() -> None:
+    multiprocessing.set_forkserver_preload(["gns_pl.training.train"])
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _generate_in_this_process(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Sets so small are made sooner than processes for them, and only tests of the generation need such processes."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not request.module.__name__.startswith("tests.generation"):
+            patch.setattr("gns_pl.generation.dataset.available_cores", lambda: 1)
+        yield
 
 
 @pytest.fixture

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
+import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
@@ -22,7 +24,7 @@ from gns_pl.rollout.rest import REST_STEPS
 from gns_pl.scene import Scene, write_scene
 from gns_pl.solvers.learned import LearnedSolver
 from tests.commands.in_process import ROOT, call
-from tests.conftest import make_simulator
+from tests.conftest import free_port, make_simulator, start_process, start_processes
 from tests.solvers.simulated import simulate_learned
 
 DATA = {"mpm": {"jitter": 0.6}, "store_every": [3]}
@@ -64,14 +66,17 @@ def test_longer_goes_on_and_shorter_is_there(ckpt: Path, drop: Scene, tmp_path: 
 
 def test_a_killed_run_goes_on(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
     write_scene(drop, tmp_path / "drop.yaml")
-    command = [sys.executable, "simulate.py", f"ckpt={ckpt}", f"scene={tmp_path / 'drop.yaml'}", "duration=0.6"]
-    command += [f"out={tmp_path / 'out'}", "device=cpu", "monitor=false"]
+    arguments = [f"ckpt={ckpt}", f"scene={tmp_path / 'drop.yaml'}", "duration=0.6", f"out={tmp_path / 'out'}"]
+    arguments += ["device=cpu", "monitor=false"]
     growing = tmp_path / "out" / "cube_drop.h5.growing"
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
-    while process.poll() is None and (not growing.exists() or (find_frames(tmp_path / "out" / "cube_drop.h5") is None)):
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    process = start_process(call, ROOT, "simulate.py", *arguments)
+    try:
+        while process.is_alive() and (not growing.exists() or find_frames(tmp_path / "out" / "cube_drop.h5") is None):
+            time.sleep(0.02)
+    finally:
+        process.kill()
+        process.join()
+    command = [sys.executable, "simulate.py", *arguments]
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "after" in said or "already complete" in said
     stable = {"sleep": 0.1, "min_distance": 0.2, "energy_limiter": True}  # conf/rollout/stable.yaml
@@ -98,26 +103,35 @@ def test_a_long_history_is_taken_up_whole(drop: Scene, tmp_path: Path) -> None:
     np.testing.assert_array_equal(parts.position, whole.position)
 
 
-def test_a_second_run_waits_for_the_first(ckpt: Path, drop: Scene, tmp_path: Path) -> None:
-    write_scene(drop, tmp_path / "drop.yaml")
-    command = [sys.executable, "simulate.py", f"ckpt={ckpt}", f"scene={tmp_path / 'drop.yaml'}"]
-    command += [f"out={tmp_path / 'out'}", "device=cpu"]
+def test_a_second_run_waits_for_the_first(
+    ckpt: Path, drop: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "out").mkdir()
+    second = threading.Thread(target=partial(simulate_learned, ckpt, [drop], out=tmp_path / "out"))
+    said = ""
     with locked(tmp_path / "out" / ".simulate.lock"):
-        second = subprocess.Popen(
-            command, cwd=ROOT, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"}
-        )
-        assert second.stdout is not None
-        assert "another run is writing here" in second.stdout.readline()
-        assert not (tmp_path / "out" / "cube_drop.h5.growing").exists()
-    assert "21 frames" in second.communicate()[0]
+        second.start()
+        while second.is_alive() and "\n" not in said:
+            time.sleep(0.02)
+            said += capsys.readouterr().out
+        assert "another run is writing here" in said
+        second.join(0.1)
+        assert second.is_alive() and not (tmp_path / "out" / "cube_drop.h5.growing").exists()
+    second.join()
+    assert "21 frames" in capsys.readouterr().out
 
 
-def test_torchrun_shares_a_run_out(ckpt: Path, column: Scene, tmp_path: Path) -> None:
+def simulate_launched(rank: int, port: int, arguments: list[str]) -> None:
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "RANK": str(rank), "WORLD_SIZE": "2"}
+    torch.set_num_threads(1)
+    done = call(ROOT, "simulate.py", *arguments)
+    assert done.returncode == 0, done.stderr
+
+
+def test_processes_of_torchrun_share_a_run_out(ckpt: Path, column: Scene, tmp_path: Path) -> None:
     write_scene(column, tmp_path / "column.yaml")
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "simulate.py"]
-    command += [f"ckpt={ckpt}", f"scene={tmp_path / 'column.yaml'}", f"out={tmp_path / 'two'}", "device=cpu"]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    arguments = [f"ckpt={ckpt}", f"scene={tmp_path / 'column.yaml'}", f"out={tmp_path / 'two'}", "device=cpu"]
+    start_processes(simulate_launched, (free_port(), arguments), 2)
     simulate_learned(ckpt, [column], out=tmp_path / "one")
     one, two = (read_trajectory(tmp_path / name / "column_collapse.h5") for name in ("one", "two"))
     np.testing.assert_allclose(two.position[:10], one.position[:10], atol=1e-5)

@@ -53,12 +53,25 @@ def data_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data") / "tiny"
 
 
+WHOLE = {
+    "distribution.WINDOWS": ("tests.training.test_distribution",),
+    "run_summary.plot_learning_curve": ("tests.training.test_run_summary", "tests.training.test_correction"),
+}
+"""What takes most of the time of trainings so small, and the modules in which it is what a training has."""
+
+
+def shorten(patch: pytest.MonkeyPatch, module: str = "") -> None:
+    """Look at fewer windows for what a network saw, and leave the learning curve empty, where they are not tested."""
+    stand_ins = (20, lambda training, validation, path, *, title: path.touch())
+    for (place, modules), stand_in in zip(WHOLE.items(), stand_ins, strict=True):
+        if module not in modules:
+            patch.setattr(f"gns_pl.training.{place}", stand_in)
+
+
 @pytest.fixture(autouse=True, scope="module")
-def _few_windows_seen(request: pytest.FixtureRequest) -> Iterator[None]:
-    """What a network saw takes half the time of such trainings: fewer windows are looked at where it is not tested."""
+def _short_trainings(request: pytest.FixtureRequest) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        if request.module.__name__ != "tests.training.test_distribution":
-            patch.setattr("gns_pl.training.distribution.WINDOWS", 20)
+        shorten(patch, request.module.__name__)
         yield
 
 
@@ -67,7 +80,7 @@ def whole_run(data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     """The folder of a training of TINY that nothing has interrupted; nobody writes into it."""
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gns_pl.training.distribution.WINDOWS", 20)
+        shorten(patch)
         train(make_config(data_root, folder), folder, None)
     return folder
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +18,7 @@ from omegaconf import DictConfig
 from gns_pl.errors import InputError
 from gns_pl.training.devices import check_devices
 from gns_pl.training.train import train
-from tests.conftest import start_processes
+from tests.conftest import free_port, start_processes
 from tests.training.conftest import make_config, rows
 
 HERE = "tests.training.test_devices"
@@ -93,11 +92,8 @@ def test_two_processes_equal_one(tmp_path: Path) -> None:
     for output in (one, two, apart):
         output.mkdir()
     train(config(data_root, one), one, None)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     runs = {two: [], apart: [f"+trainer.strategy._target_={HERE}.Unaveraged"]}
-    start_processes(work, (port, data_root, runs), 2)
+    start_processes(work, (free_port(), data_root, runs), 2)
 
     alone, first, second = load(one, 0), load(two, 0), load(two, 1)
     assert [a + b for a, b in zip(first["particles"], second["particles"], strict=True)] == alone["particles"]

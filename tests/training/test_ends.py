@@ -142,14 +142,22 @@ class RaiseAt(Callback):
         self._raise(trainer, "validation")
 
 
+@pytest.fixture(scope="module")
+def saved_at_its_end(data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a training that nothing has interrupted, whose checkpoints are of its validations and its end."""
+    folder = tmp_path_factory.mktemp("saved_at_its_end")
+    train(make_config(data_root, folder, *ONLY_AT_END), folder, None)
+    return folder
+
+
 @pytest.mark.parametrize(("where", "step", "saved"), [
     ("start", 5, 5), ("end", 6, 3), ("validation", 6, 6),
 ])  # fmt: skip
 def test_an_error_does_not_cost_the_steps_before_it(
-    data_root: Path, tmp_path: Path, where: str, step: int, saved: int
+    data_root: Path, saved_at_its_end: Path, tmp_path: Path, where: str, step: int, saved: int
 ) -> None:
     """Weights that a step has changed in part are not saved; what is, goes on as if nothing had been."""
-    cut, whole = tmp_path / "cut", tmp_path / "whole"
+    cut = tmp_path / "cut"
     cfg = make_config(data_root, cut, *ONLY_AT_END, *callback("RaiseAt", step=step, where=where))
     with open_dict(cfg):
         cfg.callbacks.extra._target_ = f"{HERE}.RaiseAt"
@@ -159,9 +167,8 @@ def test_an_error_does_not_cost_the_steps_before_it(
     assert any("add resume=" in note for note in caught.value.__notes__)
     if where != "validation":
         train(make_config(data_root, cut, *ONLY_AT_END), cut, cut / "last.ckpt")
-        train(make_config(data_root, whole, *ONLY_AT_END), whole, None)
         for name in ("last.ckpt", "best.ckpt"):
-            contents = [torch.load(each / name, weights_only=True) for each in (whole, cut)]
+            contents = [torch.load(each / name, weights_only=True) for each in (saved_at_its_end, cut)]
             for content in contents:
                 del content["loops"]  # they count the step that was begun twice
             assert_same(*contents)

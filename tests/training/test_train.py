@@ -30,6 +30,13 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
     return state
 
 
+@pytest.fixture(scope="module")
+def begun(data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The last checkpoint of a training of TINY that was stopped after two of its steps."""
+    folder = tmp_path_factory.mktemp("begun")
+    return train(make_config(data_root, folder, "trainer.max_steps=2"), folder, None)
+
+
 def test_a_resumed_run_equals_an_uninterrupted_one(data_root: Path, whole_run: Path, tmp_path: Path) -> None:
     cut = make_config(data_root, tmp_path / "cut", "trainer.max_steps=4")
     train(cut, tmp_path / "cut", None)
@@ -83,20 +90,18 @@ def test_longer_steps(data_root: Path, tmp_path: Path) -> None:
     assert float(simulator.velocity_scale) == pytest.approx(math.sqrt(velocity / count + noise**2), rel=1e-5)
 
 
-def test_resuming_with_other_settings_is_refused(data_root: Path, tmp_path: Path) -> None:
-    last = train(make_config(data_root, tmp_path, "trainer.max_steps=2"), tmp_path, None)
-    before = last.read_bytes()
-    other = make_config(data_root, tmp_path, "model.latent_size=4")
+def test_resuming_with_other_settings_is_refused(data_root: Path, begun: Path) -> None:
+    before = begun.read_bytes()
+    other = make_config(data_root, begun.parent, "model.latent_size=4")
     with pytest.raises(InputError, match=r"was made with model\.latent_size=8, not 4"):
-        train(other, tmp_path, last)
-    assert last.read_bytes() == before
+        train(other, begun.parent, begun)
+    assert begun.read_bytes() == before
 
 
 @pytest.mark.parametrize("change", ["training.batch_size=3", "callbacks.average.decay=0.5", "seed=1"])
-def test_whatever_decides_the_end_is_compared(data_root: Path, tmp_path: Path, change: str) -> None:
-    last = train(make_config(data_root, tmp_path, "trainer.max_steps=2"), tmp_path, None)
+def test_whatever_decides_the_end_is_compared(data_root: Path, begun: Path, change: str) -> None:
     with pytest.raises(InputError, match=change.split("=")[0]):
-        train(make_config(data_root, tmp_path, change), tmp_path, last)
+        train(make_config(data_root, begun.parent, change), begun.parent, begun)
 
 
 def test_a_finished_run_is_left_as_it_is(data_root: Path, tmp_path: Path) -> None:
