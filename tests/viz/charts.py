@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gns_pl.viz import Mark
 
-CHART = Path(__file__).parents[2] / "docs" / "chart.csv"
+CHART = Path(__file__).parents[2] / "docs" / "charts" / "plane" / "chart.csv"
 
 SPACE = """
 shallow-k0 shallow 0.2 0.154 0.076
@@ -92,7 +92,7 @@ def crowded() -> list[Mark]:
 
 
 def published() -> list[Mark]:
-    """Return the settings of docs/chart.csv, whatever errors that table has."""
+    """Return the settings of a published chart."""
     rows = []
     with CHART.open() as file:
         for row in csv.DictReader(file):
