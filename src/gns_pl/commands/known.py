@@ -64,7 +64,12 @@ TEXTS = (
     *("weights.metadata", "weights.data", "weights.edge_update", "evaluation.split"),
     *("evaluation.film", "evaluation.stress.label"),
 )
-SEVERAL = ("ckpt", "scene", "sets", *(f"evaluation.{name}" for name in ("scenes", "only", "stress.only", "stress.axes")))
+SEVERAL = (
+    "ckpt",
+    "scene",
+    "sets",
+    *(f"evaluation.{name}" for name in ("scenes", "only", "stress.only", "stress.axes")),
+)
 KINDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(NUMBERS, ("number",)),
     **dict.fromkeys(TEXTS, ("text",)),
