@@ -153,7 +153,7 @@ def test_old_tables_promise_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("make", [sand_over_clay, lambda: scaled(100.0)])
 def test_no_error_is_promised_where_none_was_measured(make: Callable[[], Scene]) -> None:
-    """Sand over clay errs by 10.7 % where 4.8 % were promised, and 30 m of E = 2 MPa sink by a tenth."""
+    """Sand over clay errs by 10.7 % where columns err by 7.0 %, and 30 m of E = 2 MPa sink by a tenth."""
     scene, ways = make(), [MPMSolver(f"mpm_{cells:g}", cells, MPM) for cells in (5.09, 12.7, 20.4)]
     options = estimate(scene, ways, read_records(RECORDS))
     assert [each.error for each in options] == [None] * 3 and all(each.seconds for each in options)
@@ -161,7 +161,7 @@ def test_no_error_is_promised_where_none_was_measured(make: Callable[[], Scene])
     chosen, why = choose(options, 0.1)
     assert chosen.solver.name == "mpm_12.7" and "the error on this scene is unmeasured (measured with" in why
     with pytest.raises(
-        InputError, match=r"on the scenes that were measured; the smallest .* is 0\.031 \(by mpm_20\.4\)"
+        InputError, match=r"on the scenes that were measured; the smallest .* is 0\.044 \(by mpm_20\.4\)"
     ):
         choose(options, 0.02)
 
@@ -173,7 +173,7 @@ def test_the_packages_columns_are_within_their_own_range() -> None:
         body = Body((0, 0, 0), (length, 0.5, ratio * length), (0, 0, 0))
         scene = column().replace(upper=(2.5, 0.5, 1.1), bodies=(body,), materials={"sand": sand})
         (option,) = estimate(with_time(scene), [MPMSolver("mpm_12.7", 12.7, MPM)], records)
-        assert option.error == pytest.approx(0.048, abs=5e-4)
+        assert option.error == pytest.approx(0.0704, abs=5e-4)
 
 
 def test_two_sizes_of_cells_check_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
