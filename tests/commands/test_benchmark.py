@@ -50,6 +50,8 @@ def process(folder: Path, *arguments: str, **environment: str) -> subprocess.Com
         (("ckpt=[nowhere.ckpt]",), "nowhere.ckpt: there is no such checkpoint"),
         (("placements=0",), "placements must be a whole number of at least 1, not 0."),
         (("from_table=true",), "runs/benchmark/plan.json: is not there yet"),
+        (("sets=[nowhere]",), "nowhere/plan.json: is not there yet"),
+        (("threads=[1,x]",), "threads must be a whole number of at least 1, not 'x'."),
         (("evaluation.only=[mine]",), "evaluation.only: there is no mine"),
     ],
 )
