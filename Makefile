@@ -41,7 +41,7 @@ test-gpu: $(STAMP)
 	$(BIN)/python -c 'import numba_cuda' 2>/dev/null || $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[cuda]'
 	$(BIN)/python -m pytest -m gpu
 
-# Every page, table and figure under docs/ that is made of a measured table is made of it again; nothing is measured.
+# What docs/ has of charts, promises, models, trust, deposits and MPM's validation, again of its measured tables; nothing is measured.
 tables: $(STAMP)
 	$(BIN)/python benchmark.py 'sets=[docs/charts/general,docs/charts/columns,docs/charts/plane]' out=docs logger.enabled=false
 	$(BIN)/python benchmarks/promise.py --from-table

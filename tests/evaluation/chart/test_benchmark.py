@@ -159,6 +159,7 @@ def test_a_checkpoint_trained_anew_is_measured_anew(scene: Scene, flat: Path, tm
     [
         ({"device": "tpu"}, "device must be auto, cpu or cuda, not 'tpu'"),
         ({"threads": [10_000]}, "threads must lie between 1 and"),
+        ({"threads": [1, 10_000]}, "threads must lie between 1 and"),
         ({"extrapolate": {"pairs": [[4.0, 3.0]], "order": 1.0}}, "the coarser first"),
         ({"reference": {"plane": {}, "order": 1.0}}, "reference.plane: needs cells_per_metre and placements"),
         ({"variants": {"cell": [3.0]}}, "variants: takes cells"),

@@ -94,6 +94,9 @@ def measure(
     )
     spent = {entry.name: cost_of_entry(entry, costs) for entry in entries if entry.group in LEARNED}
     first, *more = (number or available_cores() for number in threads)
+    for other in more:
+        with speed.on_threads(other):  # refused before anything is measured, as the first number is
+            pass
     with speed.on_threads(first) as number:
         places = {each: speed.place_of(each, number) for each in sorted({entry.device for entry in entries})}
         judged = []
