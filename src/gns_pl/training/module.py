@@ -101,7 +101,8 @@ class SimulatorModule(LearningModule):
         assert self.whole_runs is not None
         step, trainer = self.global_step - self.first_rollout, self.trainer
         errors = self.whole_runs.errors(self.simulator, step, trainer.global_rank, trainer.world_size)
-        for name, error in zip(ERRORS, errors.detach(), strict=True):
+        joined = cast(Tensor, trainer.strategy.reduce(errors.detach().clone(), reduce_op="mean"))
+        for name, error in zip(ERRORS, joined, strict=True):
             self.log(f"rollout/{name}", error, batch_size=1)
         weight = self.rollout["weights"]["windows"]
         loss = self.whole_runs.loss(errors)
