@@ -45,6 +45,7 @@ def kept_errors(
             dt=header.dt,
             scene=header.scene,
             provenance={},
+            observables=None,
         )
     )
     position, volume = kept.position[-1].astype(np.float64), kept.volume().astype(np.float64)
