@@ -215,7 +215,7 @@ def main() -> None:
     rows = [row for ratio in COLUMNS[2] for row in rows_of(2, ratio)]
     if not asked.plane_only:
         rows += [row for ratio in COLUMNS[3] for row in rows_of(3, ratio)]
-        write_table(TABLE, Row, rows, digits=3)
+        write_table(TABLE, Row, rows, digits=4)
 
 
 if __name__ == "__main__":

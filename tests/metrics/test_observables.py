@@ -13,9 +13,10 @@ from gns_pl.metrics.maps import volume_map
 from gns_pl.metrics.measures import centre_of_mass, kinetic_energy, percentile_front
 from gns_pl.metrics.observables import PERCENTS, Observer, compute_observables, fronts
 from gns_pl.metrics.release import front_advance
+from gns_pl.rollout import rollout
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
-from tests.conftest import make_moving
+from tests.conftest import make_moving, make_simulator
 
 
 @pytest.mark.parametrize("scene_name", ["drop", "column"])
@@ -76,5 +77,7 @@ def test_they_follow_the_frames_of_a_trajectory_or_are_refused(drop: Scene) -> N
     np.testing.assert_array_equal(third.observables.front, trajectory.observables.front[[0, 3, 6]])
     assert trajectory.every(1).observables is trajectory.observables
     assert trajectory.resampled(0.004).observables is None
+    predicted = rollout(make_simulator(spacing=0.1, connectivity_radius=0.21), trajectory, 6)
+    assert predicted.num_frames == 7 and predicted.observables is None
     with pytest.raises(InputError, match="observables must be of 2 frames, not 7"):
         replace(trajectory, position=trajectory.position[:2])

@@ -112,7 +112,7 @@ def _drawn_places(
         count: of places along each axis [D].
         generator: of the draws.
     """
-    grid = np.indices(number).reshape(len(number), -1)
+    grid = np.indices(number.tolist()).reshape(len(number), -1)
     drawn = np.empty_like(grid)
     for axis, (blocks, places) in enumerate(zip(number, count, strict=True)):
         first = -(-np.arange(blocks + 1) * places // blocks)  # ceil: the least place p with p · blocks // places = row
