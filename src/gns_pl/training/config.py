@@ -132,6 +132,8 @@ class TrainingConfig:
                 f"training.rollout.num_steps is {self.rollout.num_steps}, more than all steps of the training, "
                 f"training.optimisation.num_steps={self.optimisation.num_steps}."
             )
+        if self.rollout.num_steps and not self.optimisation.learning_rate > 0:
+            raise InputError("training.optimisation.learning_rate must be above 0 where training.rollout has steps.")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TrainingConfig:
