@@ -20,7 +20,7 @@ MAP_CELL = 1 / 12
 def map_cells(scene: Scene, cell: float) -> NDArray[np.int64]:
     """Return how many cells the map of a scene has along each horizontal axis [D - 1]; arguments as of `volume_map`."""
     extent = np.array(scene.upper[:-1]) - np.array(scene.lower[:-1])
-    return np.maximum(1, np.rint(extent / cell)).astype(np.int64)
+    return np.asarray(np.maximum(1, np.rint(extent / cell)), dtype=np.int64)
 
 
 def volume_map(position: Floats, volume: Floats, scene: Scene, cell: float = MAP_CELL) -> Floats:

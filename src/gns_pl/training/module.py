@@ -197,7 +197,7 @@ class SimulatorModule(LearningModule):
             )
         warmup, number = math.ceil(ROLLOUT_WARMUP * rollout["num_steps"]), rollout["num_steps"]
         factor = learning_rate_factor(step - first, warmup_steps=warmup, num_steps=number, final_factor=final)
-        return factor * rollout["learning_rate"] / settings["learning_rate"]
+        return float(factor * rollout["learning_rate"] / settings["learning_rate"])
 
     def entry(self, provenance: dict[str, Any]) -> dict[str, Any]:
         """Return what `gns_pl.models.checkpoint` reads."""

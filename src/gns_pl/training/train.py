@@ -56,6 +56,8 @@ class SimulatorRecipe(Recipe):
         self.training = TrainingConfig.from_dict(settings["training"])
         check_model(settings["model"])
         name = settings["ckpt"]
+        if not (name is None or isinstance(name, str)):
+            raise InputError(f"ckpt must be one file, or one name of a model of the package, not {name}.")
         self.begun = None if name is None else load_checkpoint(name)
         self.num_steps, self.batch_size = self.training.optimisation.num_steps, self.training.batch_size
 

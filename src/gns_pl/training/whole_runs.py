@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -149,7 +149,7 @@ class WholeRuns:
             return nothing * torch.full((len(ERRORS),), math.nan, device=frames.device)
         if turn is not None:
             frames = turn.undone(frames.transpose(0, 1), scenes.batch).transpose(0, 1)
-        parts = frames.split([start.num_particles for start in starts], dim=1)
+        parts = torch.split(frames, [start.num_particles for start in starts], dim=1)
         errors = [
             outcome_errors(part, start, run.fine, compared_frames(run.last, length))
             for part, start, (run, _), length in zip(parts, starts, chosen, lengths, strict=True)
@@ -159,4 +159,4 @@ class WholeRuns:
     def loss(self, errors: Tensor) -> Tensor:
         """Return the weighted sum of `errors` []."""
         weights = errors.new_tensor([self.phase.weights[name] for name in ERRORS])
-        return cast(Tensor, (weights * errors).sum())
+        return (weights * errors).sum()
