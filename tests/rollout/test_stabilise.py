@@ -127,3 +127,21 @@ def test_obstacles_that_move_do_work(column: Scene, moves: bool) -> None:
     stable = rollout(stabilise(simulator, energy_limiter=True), start, 5).position
     np.testing.assert_array_equal(stable[:, :8], script[:, :8])
     assert np.array_equal(stable, plain) is moves
+
+
+def test_derivatives_go_past_shifts_and_through_the_factor_that_scales(column: Scene) -> None:
+    """Where particles were moved apart the derivative is that of the step; where all are slowed down, by the factor."""
+    simulator, start = make_simulator(), make_start(column, spacing=0.1)
+    static, history = static_of(start), history_of(Run(start, 1), simulator.config)
+    shift = 0.03 * torch.randn(len(history), 3, generator=torch.Generator().manual_seed(0))
+    for settings in ({"min_distance": 0.9}, {"energy_limiter": True}):
+        told = (history[:, -1] + shift).requires_grad_()
+        stepper = stabilise(CallStepper(simulator, lambda history, scenes, told=told: told), **settings)  # type: ignore[arg-type]
+        made = stepper(history, static)
+        with torch.no_grad():
+            assert torch.equal(stepper(history, static), made)  # derivatives change no number
+        moved, asked = (made - history[:, -1]).detach(), (told - history[:, -1]).detach()
+        factor = 1.0 if "min_distance" in settings else float((moved * asked).sum() / asked.square().sum())
+        assert not torch.equal(moved, asked) and 0 < factor <= 1 and (factor < 0.9 or "min_distance" in settings)
+        (gradient,) = torch.autograd.grad(made.sum(), told)
+        torch.testing.assert_close(gradient, torch.full_like(gradient, factor))

@@ -58,6 +58,13 @@ TRAINING: dict[str, Any] = {
         "unroll_steps": 1,
         "unroll_from": 0.5,
     },
+    "rollout": {
+        "num_steps": 0,
+        "scenes": 1,
+        "learning_rate": 1e-3,
+        "whole_from": 0.0,
+        "weights": {"map": 1.0, "height": 0.0, "front": 0.0, "energy": 0.0, "windows": 1.0},
+    },
 }
 
 
