@@ -71,7 +71,7 @@ def summary_lines(summary: Mapping[str, Any]) -> list[str]:
         runs = summary["rollouts"]
         pace = "" if runs["step_seconds"] is None else f", {runs['step_seconds']:.3g} s each"
         left = f"{runs['skipped']} left out, not finite" if runs["skipped"] else "none left out"
-        lines.append(f"  whole runs  {runs['num_steps']:,} steps of whole runs{pace}, {left}")
+        lines.append(f"  rollouts    {runs['num_steps']:,} steps of whole runs{pace}, {left}")
     for label, values in (("best", summary["best"]), ("at the end", summary["final"])):
         if values is not None:
             lines.append(f"  {label:<11} step {values['step']:,}: {described(values)}")

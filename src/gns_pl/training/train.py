@@ -20,7 +20,7 @@ from gns_pl.io import StorageError
 from gns_pl.machine import provide_home
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.models.registry import simulator_config
-from gns_pl.models.shipped import CORRECTOR_KIND
+from gns_pl.models.shipped import CORRECTOR_KIND, existing_checkpoint
 from gns_pl.nn import in_float32
 from gns_pl.nn.memory import keep_freed_memory
 from gns_pl.training.beginning import begin_from
@@ -58,7 +58,7 @@ class SimulatorRecipe(Recipe):
         name = settings["ckpt"]
         if not (name is None or isinstance(name, str)):
             raise InputError(f"ckpt must be one file, or one name of a model of the package, not {name}.")
-        self.begun = None if name is None else load_checkpoint(name)
+        self.begun = None if name is None else load_checkpoint(existing_checkpoint(name))
         self.num_steps, self.batch_size = self.training.optimisation.num_steps, self.training.batch_size
 
     def build(self, directory: Path, trainer: Trainer) -> tuple[SimulatorModule, TrajectoryDataModule]:

@@ -31,7 +31,7 @@ from gns_pl.rollout.gradient import differentiable_rollout
 from gns_pl.rollout.policy import Policy
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.training.config import RolloutPhase
-from gns_pl.training.outcomes import ERRORS, compared_frames, outcome_errors
+from gns_pl.training.outcomes import COMPARED, ERRORS, compared_frames, outcome_errors
 from gns_pl.training.symmetry import Symmetry
 from gns_pl.trajectory import Observables, Trajectory
 
@@ -114,9 +114,9 @@ class WholeRuns:
         return solver.start(run.start.scene, self.seed * 1_000_003 + number)
 
     def length(self, run: FineRun, step: int) -> int:
-        """Return the steps that are made of a run: all, or while lengths grow their share of all."""
+        """Return the steps that are made of a run: all, or while lengths grow a share of all, up to a frame to compare."""
         grown = (step + 1) / max(1.0, self.phase.whole_from * self.phase.num_steps)
-        return max(1, math.ceil(run.last * min(1.0, grown)))
+        return max(1, math.ceil(run.last * min(1.0, max(1 / COMPARED, grown))))
 
     def errors(self, simulator: Simulator, step: int, rank: int = 0, num_ranks: int = 1) -> Tensor:
         """Return the errors of a step's runs, means over this process's scenes [len(ERRORS)]; NaN where a run broke.
