@@ -277,7 +277,9 @@ def test_kept_points_that_are_short_of_their_runs(sound: Advice) -> None:
     assert not any("kept points" in row[0] for row in rows(sound))
     for kept, suggested in (
         (Kept(num_seen=88, front=-0.08, front_scatter=0.16, map=0.05), True),
-        (Kept(num_seen=4, front=-0.08, front_scatter=0.16, map=0.05), False),
+        (Kept(num_seen=4, front=-0.08, front_scatter=0.01, map=0.05), False),
+        (Kept(num_seen=9, front=-0.08, front_scatter=0.16, map=0.05), False),
+        (Kept(num_seen=88, front=-0.08, front_scatter=0.16, map=0.05, stratified=True), False),
         (Kept(num_seen=88, front=-0.02, front_scatter=0.01, map=0.05), False),
     ):
         advice = replace(sound, survey=replace(sound.survey, kept=kept))

@@ -263,6 +263,7 @@ class _Sample:
             front=float(errors[:, 0].mean()),
             front_scatter=float(errors[:, 0].std()),
             map=float(errors[:, 1].mean()),
+            stratified=self.manifest.spec.get("sampling") == "stratified",
         )
 
     def _std_of_all(self, quantity: str) -> float:

@@ -160,12 +160,14 @@ class Kept:
         front: mean error of the 99 % front's advance, relative: how far one that repeats the data is off.
         front_scatter: its standard deviation over the trajectories.
         map: mean share of the volume in the wrong place.
+        stratified: they were drawn in blocks.
     """
 
     num_seen: int
     front: float
     front_scatter: float
     map: float
+    stratified: bool = False
 
 
 @dataclass(frozen=True)
