@@ -114,7 +114,7 @@ class WholeRuns:
         return solver.start(run.start.scene, self.seed * 1_000_003 + number)
 
     def length(self, run: FineRun, step: int) -> int:
-        """Return the steps that are made of a run: all, or while lengths grow a share of all, up to a frame to compare."""
+        """Return the steps that are made of a run: all; while lengths grow a share of all, a tenth at least."""
         grown = (step + 1) / max(1.0, self.phase.whole_from * self.phase.num_steps)
         return max(1, math.ceil(run.last * min(1.0, max(1 / COMPARED, grown))))
 
