@@ -47,5 +47,19 @@ INITIAL_VELOCITY = Field("initial_velocity", ("N", "D"), "m/s", "float32", "velo
 FIELDS: tuple[Field, ...] = (POSITION, PARTICLE_TYPE, MATERIAL, MASS, INITIAL_VELOCITY)
 """Every array of a trajectory, in the order in which files hold them."""
 
+OBSERVED: tuple[Field, ...] = (
+    Field("front", ("T", "Q"), "m", "float32", "distance from the release behind which `percents` of the mass lie"),
+    Field(
+        "volume_map",
+        ("T", "X", "Y"),
+        "m3",
+        "float32",
+        "volume at the nodes of a grid seen from above; D = 2: Y = 1, m2",
+    ),
+    Field("mean_height", ("T",), "m", "float32", "mass-weighted mean height over the floor"),
+    Field("kinetic_energy", ("T",), "J", "float32", "of all points (per metre of depth if D = 2)"),
+)
+"""Every array of the observables of a whole run, which a trajectory may have."""
+
 MATERIAL_FEATURES: tuple[str, ...] = ("tan_friction_angle",)
 """Names of the K material features a trajectory of ours carries, in order."""

@@ -8,8 +8,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
-from gns_pl.fields import FIELDS, MATERIAL_FEATURES
+from gns_pl.fields import FIELDS, MATERIAL_FEATURES, OBSERVED
 from gns_pl.scene import Particles, Scene
+
+
+@dataclass(frozen=True)
+class Observables:
+    """What all points of a run did, in every frame: a trajectory may hold few of them (`metrics.observables`).
+
+    Attributes:
+        percents: of the mass, Q of them, each with its front.
+        cell: wanted distance of the map's nodes [m], from which `metrics.maps.volume_map` finds the same grid.
+        front: [T, Q] [m] distance from the release behind which so much of the mass lies (`metrics.release`).
+        volume_map: volume at every node, [T, X + 1, Y + 1], or [T, X + 1] in two dimensions [m^D].
+        mean_height: mass-weighted mean height over the floor [T] [m].
+        kinetic_energy: ½ Σ m v² [T] [J], v by backward differences.
+    """
+
+    percents: tuple[float, ...]
+    cell: float
+    front: NDArray[np.float32]
+    volume_map: NDArray[np.float32]
+    mean_height: NDArray[np.float32]
+    kinetic_energy: NDArray[np.float32]
+
+    def every(self, stride: int) -> Observables:
+        """Return every `stride`-th frame."""
+        arrays = {field.name: getattr(self, field.name)[::stride] for field in OBSERVED}
+        return replace(self, **arrays)
+
+    def advance(self) -> NDArray[np.float32]:
+        """Return how far every front has gone since frame 0 [T, Q] [m]."""
+        return np.asarray(self.front - self.front[0])
 
 
 @dataclass(frozen=True, repr=False)
@@ -29,6 +59,7 @@ class Trajectory:
         dt: time between frames [s].
         scene: what was simulated.
         provenance: how it was made: solver, its settings, versions, seed; plain JSON values.
+        observables: of the whole run that it is part of; None where they are not known or were not asked for.
 
     Raises:
         InputError: shapes that do not fit together, or a time step that is not positive.
@@ -43,6 +74,7 @@ class Trajectory:
     dt: float
     scene: Scene
     provenance: dict[str, object]
+    observables: Observables | None = None
 
     def __post_init__(self) -> None:
         for field in FIELDS:
@@ -65,6 +97,9 @@ class Trajectory:
                 raise InputError(f"trajectory: {name} must be {shape}, not {array.shape}.")
         if not self.dt > 0:
             raise InputError(f"trajectory: dt must be positive, not {self.dt}.")
+        if self.observables is not None and len(self.observables.front) != self.num_frames:
+            number = len(self.observables.front)
+            raise InputError(f"trajectory: observables must be of {self.num_frames} frames, not {number}.")
 
     def __repr__(self) -> str:
         solver = self.provenance.get("solver", "unknown")
@@ -91,7 +126,10 @@ class Trajectory:
 
     def every(self, stride: int) -> Trajectory:
         """Return every `stride`-th frame, the first among them, with the time step that goes with it."""
-        return self if stride == 1 else replace(self, position=self.position[::stride], dt=self.dt * stride)
+        if stride == 1:
+            return self
+        observables = self.observables and self.observables.every(stride)
+        return replace(self, position=self.position[::stride], dt=self.dt * stride, observables=observables)
 
     def resampled(self, interval: float, duration: float | None = None) -> Trajectory:
         """Return frames at another interval, between those there are by monotone cubics, behind the last at rest.
@@ -110,7 +148,7 @@ class Trajectory:
         end = self.dt * (self.num_frames - 1)
         number = round((end if duration is None else duration) / interval) + 1
         if self.num_frames == 1:
-            return replace(self, position=np.repeat(self.position, number, axis=0), dt=interval)
+            return replace(self, position=np.repeat(self.position, number, axis=0), dt=interval, observables=None)
         from scipy.interpolate import PchipInterpolator
 
         times = np.minimum(np.arange(number) * interval, end)
@@ -120,7 +158,7 @@ class Trajectory:
         position[exact] = self.position[nearest[exact]]
         if not exact.all():
             position[~exact] = PchipInterpolator(self.time, self.position.astype(np.float64))(times[~exact])
-        return replace(self, position=position, dt=interval)
+        return replace(self, position=position, dt=interval, observables=None)
 
     @property
     def spacing(self) -> float:

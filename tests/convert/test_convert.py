@@ -20,6 +20,9 @@ from gns_pl.convert.recordings import Assumed
 from gns_pl.data.statistics import RunningStatistics
 from gns_pl.errors import InputError
 from gns_pl.io import StorageError, read_manifest, read_trajectory, verify_dataset
+from gns_pl.metrics.curves import mobile
+from gns_pl.metrics.measures import centre_of_mass, kinetic_energy
+from gns_pl.metrics.release import front_advance
 from tests.commands.in_process import call
 from tests.conftest import SAND
 from tests.convert.formats import fixtures
@@ -92,6 +95,20 @@ def test_geoelements_becomes_a_data_set_of_ours(geoelements: Path, tmp_path: Pat
     np.testing.assert_allclose(trajectory.mass, 1800 * manifest.spacing**3, rtol=1e-6)
     fall = trajectory.acceleration()[:, 5:]  # from the first frame on, whose velocity no frame before it tells
     np.testing.assert_allclose(fall, np.broadcast_to([0, 0, -9.81], fall.shape), atol=0.05)
+
+
+def test_observables_are_those_of_what_moves(geoelements: Path, tmp_path: Path) -> None:
+    folder = converted(geoelements, tmp_path / "ours")
+    for name in read_manifest(folder).files:
+        trajectory = read_trajectory(folder / name, observables=True)
+        found = trajectory.observables
+        assert found is not None and found.cell == pytest.approx(2 * read_manifest(folder).spacing)
+        moved = mobile(trajectory)
+        assert moved.num_particles == trajectory.num_particles - 5
+        np.testing.assert_allclose(found.mean_height, centre_of_mass(moved)[:, -1], rtol=1e-6)
+        np.testing.assert_allclose(found.kinetic_energy, kinetic_energy(moved), rtol=1e-5)
+        np.testing.assert_allclose(found.advance()[:, found.percents.index(99)], front_advance(moved), atol=1e-6)
+        np.testing.assert_allclose(found.volume_map.sum(axis=(1, 2)), moved.volume().sum(), rtol=1e-5)
 
 
 def test_statistics_are_those_of_what_moves(geoelements: Path, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from gns_pl.data.survey_record import Survey
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io.schema import LOCATION
+from gns_pl.metrics.observables import compute_observables
 from tests.conftest import make_start
 from tests.data.sets import DT, SPACING, make_flight, make_scene, moved, write_set
 
@@ -146,3 +147,26 @@ def test_little_is_read_of_a_large_set(tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_folder_without_training_trajectories(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no training trajectory"):
         survey_of(tmp_path, FLIGHTS, valid=3)
+
+
+def test_kept_points_are_compared_with_the_whole_runs_they_are_of(tmp_path: Path) -> None:
+    """The whole run's front advances by 0.25 and 0.2 m where that of the files' particles does by 0.2 m."""
+    scene = make_scene(position=(0.0, 0.0, 0.0), size=(0.3, 1.0, 0.3))
+    slide = moved(scene, lambda t: np.array([t, 0.0, 0.0]), 21)
+    observed = compute_observables(slide, 2 * SPACING)
+    farther = replace(observed, front=observed.front * np.float32(1.25))
+    plain = survey_of(tmp_path / "plain", [slide, slide]).kept
+    assert plain.num_seen == 0 and math.isnan(plain.front)
+    at_rest = moved(scene, lambda t: np.zeros(3), 21)
+    sets = [
+        replace(slide, observables=observed),
+        replace(slide, observables=farther),
+        slide,
+        replace(at_rest, observables=compute_observables(at_rest, 0.1)),
+        slide,
+    ]
+    kept = survey_of(tmp_path / "set", sets).kept
+    assert kept.num_seen == 2
+    assert kept.front == pytest.approx((0 - 0.2) / 2, abs=1e-5)
+    assert kept.front_scatter == pytest.approx(0.1, abs=1e-5)
+    assert kept.map == pytest.approx(0, abs=1e-6)

@@ -76,6 +76,18 @@ def test_spec_round_trip() -> None:
     assert "root" not in spec.to_dict()
 
 
+def test_a_way_to_choose_points_is_stated_only_where_it_is_not_that_of_older_sets() -> None:
+    assert {"store_every", "sampling"}.isdisjoint(DatasetSpec.from_dict(make_spec(sampling="lattice")).to_dict())
+    drawn = DatasetSpec.from_dict(make_spec(sampling="stratified", store_every=[2]))
+    assert DatasetSpec.from_dict(drawn.to_dict()) == drawn
+    assert drawn.to_dict()["sampling"] == "stratified"
+    lattice, stratified = (plan(sampling=sampling, store_every=[2]) for sampling in ("lattice", "stratified"))
+    assert [replace(planned, offsets=None) for planned in lattice] == [
+        replace(planned, offsets=None) for planned in stratified
+    ]
+    assert all(planned.offsets == {2: None} for planned in stratified)
+
+
 def family(**changes: Any) -> dict[str, Any]:
     return {"families": {"cube_drop": {key: value for key, value in {**DROPS, **changes}.items() if value is not ...}}}
 
@@ -93,6 +105,7 @@ def family(**changes: Any) -> dict[str, Any]:
         ({"gravity": float("nan")}, "plain, finite values"),
         ({"name": object()}, "plain, finite values"),
         ({"mpm": 3}, "mpm must be a mapping"),
+        ({"sampling": "random"}, "sampling must be lattice or stratified, not 'random'"),
         ({"families": {}}, "at least one family"),
         ({"families": {"cube_drop": 3}}, "family cube_drop must be a mapping"),
         ({"families": {"drops": DROPS}}, "no kind 'drops' of scenes; known are cube_drop, block_release, column"),

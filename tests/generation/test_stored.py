@@ -14,9 +14,11 @@ import pytest
 
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import InputError
+from gns_pl.fields import OBSERVED
 from gns_pl.generation import DatasetSpec, draw_plan, generate_dataset
 from gns_pl.generation.records import read_timings
-from gns_pl.io import read_header, read_manifest, read_trajectory, verify_dataset
+from gns_pl.io import read_header, read_manifest, read_observables, read_trajectory, verify_dataset
+from gns_pl.metrics.observables import compute_observables
 from gns_pl.mpm import settings as solver
 from gns_pl.mpm.settings import place_points
 from tests.generation.fake import DROPS, FINE, fake_solver, make_spec, make_thinned_spec
@@ -72,6 +74,36 @@ def test_the_files_hold_lattice_points_of_the_whole_run(root: Path, tmp_path: Pa
         np.testing.assert_array_equal(kept.position, whole.position[:, wanted])
         assert kept.mass.sum(dtype=np.float64) == pytest.approx(whole.mass.sum(dtype=np.float64), rel=1e-6)
         assert kept.provenance == {**whole.provenance, "every": every, "offset": list(planned.offsets[every])}
+
+
+@pytest.mark.parametrize("sampling", ["lattice", "stratified"])
+def test_the_observables_are_those_of_all_points_whichever_are_kept(faked: None, tmp_path: Path, sampling: str) -> None:
+    spec = make_thinned_spec(sampling=sampling)
+    generate_dataset(spec, root=tmp_path / "set", num_workers=1, progress=False)
+    fine = generate_dataset(make_spec(mpm=FINE), root=tmp_path / "fine", num_workers=1, progress=False)
+    for planned in draw_plan(DatasetSpec.from_dict(spec)):
+        whole = read_trajectory(fine / planned.file_name)
+        for every in EVERY:
+            wanted = compute_observables(whole, 2 * every / 16)
+            found = read_observables(tmp_path / "set" / f"every_{every}" / planned.file_name)
+            assert found is not None and found.cell == 2 * every / 16
+            for field in OBSERVED:
+                np.testing.assert_array_equal(getattr(found, field.name), getattr(wanted, field.name))
+
+
+def test_points_that_were_drawn_are_not_taken_for_a_lattice(root: Path, tmp_path: Path) -> None:
+    drawn = tmp_path / "drawn"
+    generate(drawn, sampling="stratified")
+    manifest = verify_dataset(drawn / "every_2")
+    assert manifest.spec["sampling"] == "stratified" and manifest.splits == read_manifest(root / "every_2").splits
+    name = next(iter(manifest.files))
+    assert read_header(drawn / "every_2" / name).provenance["sampling"] == "stratified"
+    with pytest.raises(InputError, match="sampling is only asked for"):
+        generate(root, sampling="stratified")
+    (drawn / "every_2" / "manifest.json").unlink()
+    shutil.copy(root / "every_2" / name, drawn / "every_2" / name)
+    with pytest.raises(InputError, match="holds other points than this data set has there"):
+        generate(drawn, sampling="stratified")
 
 
 @pytest.mark.parametrize("every", EVERY)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.generation.thinning import kept_points, stored_counts, thin_trajectory
+from gns_pl.generation.thinning import drawn_points, fill_drawn, kept_points, stored_counts, thin_trajectory
 from gns_pl.mpm.settings import place_points
 from gns_pl.scene import Body, Box, Material, Plane, Scene, Wall
 from gns_pl.trajectory import Trajectory
@@ -30,7 +30,7 @@ def run(scene: Scene) -> Trajectory:
     return fake_solver(scene, FINE, frame_interval=0.05, seed=3)
 
 
-def thin(trajectory: Trajectory, every: int, offset: tuple[int, ...]) -> Trajectory:
+def thin(trajectory: Trajectory, every: int, offset: tuple[int, ...] | None) -> Trajectory:
     return thin_trajectory(trajectory, FINE, 3, every, offset)
 
 
@@ -87,7 +87,7 @@ def test_a_thin_layer_keeps_one_of_its_layers(scene: Scene, offset: int) -> None
 
 
 def test_counts_without_a_simulation(scene: Scene) -> None:
-    offsets = {1: (0, 0, 0), 2: (1, 0, 0), 4: (3, 1, 2)}
+    offsets = {1: (0, 0, 0), 2: (1, 0, 0), 3: None, 4: (3, 1, 2)}
     number, stored = stored_counts(scene, 1 / 16, offsets)
     assert number == stored[1] == 125 + 60
     for every, offset in offsets.items():
@@ -108,3 +108,65 @@ def test_a_trajectory_of_another_placement_is_not_cut_up(drop: Scene, changes: d
     arguments: dict[str, Any] = {"mpm": FINE, "seed": 3, "every": 2, "offset": (0, 0, 0)}
     with pytest.raises(ValueError, match="not what these settings and this seed place"):
         thin_trajectory(run(drop), **(arguments | changes))
+
+
+@pytest.mark.parametrize("every", [2, 3, 4])
+@pytest.mark.parametrize("carved", [False, True])
+def test_each_block_has_one_point_which_weighs_what_the_block_does(scene: Scene, every: int, carved: bool) -> None:
+    scene = scene.replace(obstacles=(SLOPE,)) if carved else scene
+    whole, particles = run(scene), place_points(scene, FINE, 3)
+    keep, block = drawn_points(scene, particles, every, 3)
+    assert (np.diff(keep) > 0).all()
+    assert sorted(block[keep]) == np.unique(block).tolist()
+    kept = thin(whole, every, None)
+    np.testing.assert_array_equal(kept.position, whole.position[:, keep])
+    np.testing.assert_allclose(kept.mass, np.bincount(block, weights=whole.mass)[block[keep]], rtol=1e-6)
+    assert kept.provenance == {**whole.provenance, "every": every, "sampling": "stratified"}
+    for number in np.unique(block):
+        inside = particles.lattice[block == number]
+        assert len(np.unique(particles.body[block == number])) == 1
+        assert (np.ptp(inside, axis=0) < 2 * every).all()
+        if not carved:  # a block is a cuboid of as many places as the rounding of n / k allows
+            assert len(inside) == np.prod(np.ptp(inside, axis=0) + 1)
+    again = drawn_points(scene, particles, every, 3)[0]
+    np.testing.assert_array_equal(again, keep)
+    assert any(drawn_points(scene, particles, every, seed)[0].tolist() != keep.tolist() for seed in (4, 5))
+
+
+def test_every_point_of_a_block_is_drawn_equally_often(scene: Scene) -> None:
+    particles, draws = place_points(scene, FINE, 3), 3000
+    _, block = drawn_points(scene, particles, 2, 0)
+    times = np.zeros(len(block))
+    for seed in range(draws):
+        times[drawn_points(scene, particles, 2, seed)[0]] += 1
+    share = 1 / np.bincount(block)[block]
+    deviation = (times / draws - share) / np.sqrt(share * (1 - share) / draws + 1e-12)
+    assert np.abs(deviation).max() < 4.5  # of 185 points; normal, the odds are 1 in 800
+    assert share.min() == 1 / 27  # 5 places in 2 blocks: 3 and 2
+
+
+def test_blocks_side_by_side_share_the_layers_out(drop: Scene) -> None:
+    """Of 5 places in 2 blocks the lower ones have 3 layers and the upper 2; four blocks lie side by side."""
+    particles = place_points(drop, FINE, 3)
+    for seed in range(20):
+        lattice = particles.lattice[drawn_points(drop, particles, 2, seed)[0]]
+        for axis in range(3):
+            number = np.bincount(lattice[:, axis], minlength=5)
+            assert set(number[:3]) == {1, 2} and number[:3].sum() == 4
+            assert number[3:].tolist() == [2, 2]
+
+
+def test_a_filling_is_drawn_as_points_are(drop: Scene) -> None:
+    """A cube of 0.3 m at 0.1 m has 3 cells each way, of which 9 touch a face: 3 have the outermost of 3 layers."""
+    (body,) = drop.bodies
+    for jitter, inner in ((0.0, 0.0), (0.7, 0.35)):
+        particles = fill_drawn(drop, 0.1, 3, jitter=jitter, generator=np.random.default_rng(1))
+        assert len(particles.position) == 27
+        fine = (particles.position - np.array(body.position)) / (0.1 / 3)
+        layer = np.floor(fine)
+        np.testing.assert_array_equal(layer // 3, particles.lattice)
+        assert np.abs(fine - layer - 0.5).max() <= inner + 1e-12
+        for axis in range(3):
+            assert np.bincount(layer[:, axis].astype(int)).tolist() == [3] * 9
+    same = fill_drawn(drop, 0.1, 3, jitter=0.7, generator=np.random.default_rng(1))
+    np.testing.assert_array_equal(same.position, particles.position)

@@ -12,7 +12,17 @@ import pytest
 
 import gns_pl.io.hdf5
 from gns_pl.errors import InputError
-from gns_pl.io import open_trajectory, read_header, read_static, read_trajectory, read_window, write_trajectory
+from gns_pl.fields import OBSERVED
+from gns_pl.io import (
+    open_trajectory,
+    read_header,
+    read_observables,
+    read_static,
+    read_trajectory,
+    read_window,
+    write_trajectory,
+)
+from gns_pl.metrics.observables import compute_observables
 from gns_pl.scene import FACES, Material, Scene, Wall, column_collapse
 from gns_pl.trajectory import Trajectory
 from tests.conftest import make_moving
@@ -164,3 +174,56 @@ def test_numbers_that_are_not_finite_are_neither_written_nor_read(
 def test_errors_of_the_reader_are_not_blamed_on_the_file(path: Path) -> None:
     with pytest.raises(ValueError, match="mine"), open_trajectory(path):
         raise ValueError("mine")
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_observables_come_back_bit_for_bit_and_only_where_they_are_asked_for(
+    drop: Scene, tmp_path: Path, dim: int
+) -> None:
+    walls = {face: Wall("slip") for face in FACES[2]}
+    flat = column_collapse(
+        domain=(1, 1), length=0.3, height=0.5, gravity=9.81, duration=0.1, material=Material(1, 1, 0, 0), walls=walls
+    )
+    flow = make_moving(drop if dim == 3 else flat, frames=5, spacing=0.06)
+    written = replace(flow, observables=compute_observables(flow, 0.15))
+    path = tmp_path / "observed.h5"
+    write_trajectory(path, written)
+    assert_same(read_trajectory(path), flow)
+    stored, alone = read_trajectory(path, observables=True).observables, read_observables(path)
+    first = read_trajectory(path, 2, observables=True).observables
+    assert written.observables is not None and stored is not None and alone is not None and first is not None
+    assert (stored.percents, stored.cell) == (written.observables.percents, 0.15)
+    for field in OBSERVED:
+        wanted = getattr(written.observables, field.name)
+        for observables in (stored, alone):
+            assert getattr(observables, field.name).tobytes() == wanted.tobytes()
+            assert getattr(observables, field.name).shape == wanted.shape
+        np.testing.assert_array_equal(getattr(first, field.name), wanted[:2])
+    with h5py.File(path) as file:  # H5MD's elements that are sampled with the positions
+        assert file["observables/whole_run/front/time"] == file["particles/all/position/time"]
+        assert file["observables/whole_run/volume_map/value"].attrs["unit"] == "m+3"
+        assert file["observables/whole_run/volume_map/value"].ndim == 3
+
+
+def test_a_file_of_version_1_is_read_and_has_no_observables(trajectory: Trajectory, path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = np.int64(1)
+    assert_same(read_trajectory(path, observables=True), trajectory)
+    assert read_observables(path) is None
+
+
+def test_observables_that_do_not_fit_are_named(trajectory: Trajectory, tmp_path: Path) -> None:
+    observed = replace(trajectory, observables=compute_observables(trajectory, 0.2))
+    assert observed.observables is not None
+    path = tmp_path / "observed.h5"
+    broken = replace(observed.observables, mean_height=np.full(23, np.nan, np.float32))
+    with pytest.raises(InputError, match="mean_height holds numbers that are not finite"):
+        write_trajectory(path, replace(observed, observables=broken))
+    assert not path.exists()
+    write_trajectory(path, observed)
+    with h5py.File(path, "r+") as file:
+        del file["observables/whole_run/front/value"]
+        file["observables/whole_run/front/value"] = np.zeros((3, 4), np.float32)
+        file["observables/whole_run/front/value"].attrs["unit"] = "m"
+    with pytest.raises(InputError, match=r"front/value must be of shape \[T, Q\] with T = 23, not 3"):
+        read_trajectory(path)

@@ -14,7 +14,7 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.fields import FIELDS
 from gns_pl.io import FORMAT_VERSION, read_header, read_trajectory, read_window, render_schema, write_trajectory
-from gns_pl.io.schema import ENTRIES, LOCATION, check_file, h5md_unit
+from gns_pl.io.schema import ENTRIES, LOCATION, OBSERVABLE_ENTRIES, check_file, h5md_unit
 from gns_pl.scene import Scene
 from tests.conftest import make_moving
 
@@ -38,8 +38,9 @@ def test_every_field_has_its_place_and_every_unit_h5mds_spelling() -> None:
     assert set(LOCATION) == {field.name for field in FIELDS}
     assert set(LOCATION.values()) <= set(paths)
     assert h5md_unit("m/s") == "m s-1"
-    for entry in ENTRIES:
-        assert re.fullmatch(r"1|[a-zA-Z]+( [a-zA-Z]+-?\d)*", h5md_unit(entry.unit))
+    assert h5md_unit("m3") == "m+3"
+    for entry in (*ENTRIES, *OBSERVABLE_ENTRIES):
+        assert re.fullmatch(r"1|[a-zA-Z]+([+-]\d)?( [a-zA-Z]+-?\d)*", h5md_unit(entry.unit))
 
 
 def test_a_written_file_fits_and_follows_h5md(path: Path) -> None:
@@ -71,7 +72,7 @@ def replace_with(place: str, value: Any) -> Change:
         (lambda f: f.attrs.__delitem__("format"), "is HDF5, but not a trajectory of gns_pl"),
         (lambda f: f.attrs.__setitem__("format", "other"), "is HDF5, but not a trajectory of gns_pl"),
         (lambda f: f.attrs.__delitem__("format_version"), "is HDF5, but not a trajectory of gns_pl"),
-        (lambda f: f.attrs.__setitem__("format_version", FORMAT_VERSION + 1), "newer than the 1 this gns_pl reads"),
+        (lambda f: f.attrs.__setitem__("format_version", FORMAT_VERSION + 1), "newer than the 2 this gns_pl reads"),
         (lambda f: f.__delitem__("particles/all/mass"), "lacks particles/all/mass"),
         (lambda f: f.__delitem__("particles"), "lacks particles/all"),
         (lambda f: f.__delitem__("parameters/scene"), "lacks parameters/scene"),

@@ -127,3 +127,24 @@ def test_obstacles_that_move_do_work(column: Scene, moves: bool) -> None:
     stable = rollout(stabilise(simulator, energy_limiter=True), start, 5).position
     np.testing.assert_array_equal(stable[:, :8], script[:, :8])
     assert np.array_equal(stable, plain) is moves
+
+
+def test_derivatives_go_past_shifts_and_through_the_factor_that_scales(column: Scene) -> None:
+    """Where particles were moved apart the derivative is that of the step; where all are slowed down, by the factor."""
+    simulator, start = make_simulator(), make_start(column)
+    static, history = static_of(start), history_of(Run(start, 1), simulator.config)
+    shift = 0.03 * torch.randn(len(history), 3, generator=torch.Generator().manual_seed(0))
+    history[:, -2] = history[:, -1] - 0.5 * shift  # a quarter of the energy that is asked for
+    for settings in ({"min_distance": 0.9}, {"energy_limiter": True}):
+        told = (history[:, -1] + shift).requires_grad_()
+        made, plain = (
+            stabilise(CallStepper(simulator, lambda _history, _scenes, each=each: each), **settings)(history, static)  # type: ignore[arg-type, misc]
+            for each in (told, told.detach())
+        )
+        assert torch.equal(made, plain)  # derivatives change no number
+        moved, asked = (made - history[:, -1]).detach(), (told - history[:, -1]).detach()
+        assert not torch.equal(moved, asked)
+        factor = 1.0 if "min_distance" in settings else float((moved * asked).sum() / asked.square().sum())
+        assert factor == 1.0 or 0.3 < factor < 0.7
+        (gradient,) = torch.autograd.grad(made.sum(), told)
+        torch.testing.assert_close(gradient, torch.full_like(gradient, factor))

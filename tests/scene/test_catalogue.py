@@ -17,12 +17,20 @@ from gns_pl.scene import (
     sample_block_release,
     sample_column_collapse,
     sample_cube_drop,
+    sample_pair_release,
 )
 
 COMMON: dict[str, Any] = {"gravity": 9.81, "duration": 1.0, "material": Material(1800, 2e6, 0.3, 30)}
 WALLS = {dim: {face: Wall("friction", 0.4) for face in FACES[dim]} for dim in FACES}
 DROP: dict[str, Any] = {"domain": (1, 1.5, 0.8), "side": (0.25, 0.4), "speed": 1.5, "max_drop": 0.3}
 BLOCK: dict[str, Any] = {"domain": (1, 1.5, 0.8), "length": (0.2, 0.5), "aspect_ratio": (0.4, 3.0), "at_wall": 0.5}
+PAIR: dict[str, Any] = {
+    "domain": (1.2, 0.6, 0.8),
+    "length": (0.2, 0.35),
+    "aspect_ratio": (0.4, 2.0),
+    "at_wall": 0.5,
+    "speed": 1.0,
+}
 COLUMN: dict[str, Any] = {"domain": (2.0, 0.5, 1.0), "length": (0.2, 0.4), "aspect_ratio": (0.5, 2.5)}
 SPAN: dict[str, Any] = {"gravity": 9.81, "material": COMMON["material"], "duration_tau": 6.0}
 
@@ -73,6 +81,23 @@ def test_blocks_stay_in_range_and_half_of_them_touch_a_wall() -> None:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
+def test_pairs_stand_apart_and_move_towards_each_other(dim: int) -> None:
+    domain, behind, speeds = (1.2, 0.8) if dim == 2 else (1.2, 0.6, 0.8), [], []
+    for seed in range(200):
+        parameters = PAIR | {"domain": domain, "walls": WALLS[dim]}
+        scene = sample_pair_release(np.random.default_rng(seed), **parameters, **COMMON)
+        left, right = scene.bodies
+        assert left.position[0] >= 0 and left.upper[0] <= 0.6 + 1e-12 <= right.position[0] + 2e-12
+        assert right.upper[0] <= 1.2 + 1e-12 and left.position[-1] == right.position[-1] == 0
+        assert all(0.2 <= edge <= 0.35 for body in scene.bodies for edge in body.size[:-1])
+        assert left.velocity[0] >= 0 >= right.velocity[0] and not any(left.velocity[1:] + right.velocity[1:])
+        behind.append([left.position[0] < 1e-9, right.upper[0] > 1.2 - 1e-9])
+        speeds.append(left.velocity[0] - right.velocity[0])
+    assert (np.abs(np.mean(behind, axis=0) - 0.5) < 0.12).all()
+    assert min(speeds) > 0 and 1.6 < max(speeds) <= 2.0
+
+
+@pytest.mark.parametrize("dim", [2, 3])
 def test_columns_stay_in_range_and_run_for_their_own_time(dim: int) -> None:
     domain = COLUMN["domain"] if dim == 3 else (2.0, 1.0)
     drawn = []
@@ -92,7 +117,9 @@ def test_columns_stay_in_range_and_run_for_their_own_time(dim: int) -> None:
     assert (high - low > 0.9 * np.array([0.2, 2.0])).all()
 
 
-@pytest.mark.parametrize(("sampler", "parameters"), [(sample_cube_drop, DROP), (sample_block_release, BLOCK)])
+@pytest.mark.parametrize(
+    ("sampler", "parameters"), [(sample_cube_drop, DROP), (sample_block_release, BLOCK), (sample_pair_release, PAIR)]
+)
 def test_the_same_seed_draws_the_same_scene(sampler: Any, parameters: dict[str, Any]) -> None:
     def draw(seed: int) -> Any:
         return sampler(np.random.default_rng(seed), walls=WALLS[3], **parameters, **COMMON)

@@ -17,13 +17,14 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
 from gns_pl.data.survey import survey_dataset
+from gns_pl.data.survey_record import Kept
 from gns_pl.errors import InputError
 from gns_pl.generation import DatasetSpec, draw_plan, missing_bytes
 from gns_pl.graph import WindowRandom
 from gns_pl.training.advice import advise
 from gns_pl.training.advice.data_errors import Suggestion
 from gns_pl.training.advice.derived import Advice, compute_advice, target_noise
-from gns_pl.training.advice.report import suggestion_lines
+from gns_pl.training.advice.report import rows, suggestion_lines
 from gns_pl.training.advice.suggestions import suggest
 from gns_pl.training.config import TrainingConfig
 from gns_pl.training.perturbation import Perturbation
@@ -56,6 +57,13 @@ TRAINING: dict[str, Any] = {
         "symmetry": True,
         "unroll_steps": 1,
         "unroll_from": 0.5,
+    },
+    "rollout": {
+        "num_steps": 0,
+        "scenes": 1,
+        "learning_rate": 1e-3,
+        "whole_from": 0.0,
+        "weights": {"map": 1.0, "height": 0.0, "front": 0.0, "energy": 0.0, "windows": 1.0},
     },
 }
 
@@ -262,6 +270,22 @@ def test_volume_that_is_lost_and_particles_that_are_too_fast(sound: Advice) -> N
     assert ["data.mpm" in suggestion.message for suggestion in suggest(lost)] == [True]
     fast = replace(sound, survey=replace(survey, motion=replace(survey.motion, step=(0.0, 0.1, 0.22, 0.3))))
     assert changes(fast) == ["data.frame_interval=0.0025"]  # half a radius of 0.11 m a step
+
+
+def test_kept_points_that_are_short_of_their_runs(sound: Advice) -> None:
+    """Told with their scatter; what may be chance, or is little, asks for nothing."""
+    assert not any("kept points" in row[0] for row in rows(sound))
+    for kept, suggested in (
+        (Kept(num_seen=88, front=-0.08, front_scatter=0.16, map=0.05), True),
+        (Kept(num_seen=4, front=-0.08, front_scatter=0.01, map=0.05), False),
+        (Kept(num_seen=9, front=-0.08, front_scatter=0.16, map=0.05), False),
+        (Kept(num_seen=88, front=-0.08, front_scatter=0.16, map=0.05, stratified=True), False),
+        (Kept(num_seen=88, front=-0.02, front_scatter=0.01, map=0.05), False),
+    ):
+        advice = replace(sound, survey=replace(sound.survey, kept=kept))
+        assert changes(advice) == (["+data.sampling=stratified"] if suggested else [])
+        [row] = [row for row in rows(advice) if "kept points" in row[0]]
+        assert row[1] == f"{100 * kept.front:+.3g} %" and f"over {kept.num_seen} trajectories" in row[2]
 
 
 def test_the_command_reports_and_trains_nothing(

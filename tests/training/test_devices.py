@@ -22,7 +22,7 @@ from tests.conftest import free_port, start_processes
 from tests.training.conftest import make_config, rows
 
 HERE = "tests.training.test_devices"
-BATCH = ["training.batch_size=4", "trainer.accelerator=cpu"]
+BATCH = ["training.batch_size=4", "training.rollout.num_steps=2", "trainer.accelerator=cpu"]
 
 
 class KeepRank(Callback):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import torch
 
-from gns_pl.training.symmetry import sample_symmetry
+from gns_pl.training.symmetry import Symmetry, sample_symmetry
 from tests.conftest import make_random, make_static
 
 
@@ -41,3 +41,15 @@ def test_two_dimensions_are_mirrored_only() -> None:
     same = (new[..., 0] == history[..., 0]).all(dim=1)
     torch.testing.assert_close(new[~same][..., 0], 1 - history[~same][..., 0])
     assert 0 < int(same.sum()) < 80
+
+
+def test_what_is_undone_is_as_it_was() -> None:
+    static = make_static(10, graphs=16)
+    static.upper[:] = torch.tensor([1.5, 0.5, 0.7])
+    position = torch.rand(160, 3, 3) * static.upper[static.batch][:, None]
+    symmetry = Symmetry.sample(static, make_random(static), position.dtype)
+    turned = symmetry.turned(position, static.batch)
+    assert not torch.equal(turned, position)
+    torch.testing.assert_close(symmetry.undone(turned, static.batch), position)
+    vectors = symmetry.turned(position.diff(dim=1), static.batch, vectors=True)
+    torch.testing.assert_close(vectors, turned.diff(dim=1))

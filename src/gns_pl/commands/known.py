@@ -19,7 +19,16 @@ from gns_pl.errors import InputError
 from gns_pl.text import did_you_mean
 
 OPEN = (
-    *("data.families", "data.walls", "data.mpm", "data.material", "data.store_every", "data.every", "data.root"),
+    *(
+        "data.families",
+        "data.walls",
+        "data.mpm",
+        "data.material",
+        "data.store_every",
+        "data.every",
+        "data.sampling",
+        "data.root",
+    ),
     *("model", "changes", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
     *(
         "evaluation.stress.variants",

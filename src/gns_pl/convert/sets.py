@@ -30,6 +30,7 @@ from gns_pl.io import (
 )
 from gns_pl.io.manifest import MANIFEST_VERSION
 from gns_pl.io.stream import TrajectoryStream
+from gns_pl.metrics.observables import CELL_SPACINGS, Observer
 from gns_pl.scene import FACES
 
 
@@ -70,18 +71,19 @@ def _write(path: Path, source: ForeignSet, item: Item, facts: Facts, assumed: As
     with source.recording(item.number) as recording:
         own = facts.of(recording.stated)
         start = start_of(recording, own, assumed, source.stated, item.name)
-        stream = TrajectoryStream(path, start)
+        stream, observer = TrajectoryStream(path, start), Observer(start, CELL_SPACINGS * own.spacing)
         try:
             for block in si_blocks(recording, own):
                 stream.append(block)
+                observer.add(block)
             provenance: dict[str, object] = {
                 "solver": f"imported from {source.kind}",
                 "source": item.source,
                 "notes": list(recording.notes),
             }
-            stream.finish(
-                {**provenance, "original": dict(recording.provenance)} if recording.provenance else provenance
-            )
+            if recording.provenance:
+                provenance["original"] = dict(recording.provenance)
+            stream.finish(provenance, observer.observables())
         finally:
             stream.close()
             stream.growing.unlink(missing_ok=True)

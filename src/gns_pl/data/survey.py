@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.data import estimators
+from gns_pl.data.kept import kept_errors
 from gns_pl.data.survey_record import (
     IMPACT_SHARE,
     MOVING_SHARE,
@@ -22,6 +23,7 @@ from gns_pl.data.survey_record import (
     SPEED_AT_REST,
     DataErrors,
     Density,
+    Kept,
     Motion,
     Sizes,
     Starts,
@@ -120,9 +122,12 @@ class _Sample:
         header, static = read_header(path), read_static(path)
         self.headers[path.name] = header
         first = read_window(path, 0, 1)
-        last = read_window(path, header.num_frames - 1, 1)
-        if not self._is_sound(path.name, np.concatenate([first, last]), header):
+        ends = np.concatenate([first, read_window(path, header.num_frames - 1, 1)])
+        if not self._is_sound(path.name, ends, header):
             return
+        errors = kept_errors(path, header, ends, least=self.manifest.spacing)
+        if errors is not None:
+            self._note(kept=errors)
         if np.linalg.norm(static["initial_velocity"], axis=1).max() < SPEED_AT_REST:
             stands = float(first[0, :, -1].min()) - header.scene.lower[-1] < 1.5 * self.manifest.spacing
             self.cold, self.hung = self.cold + stands, self.hung + (not stands)
@@ -205,6 +210,7 @@ class _Sample:
             starts=self._starts(),
             density=self._density(),
             motion=self._motion(),
+            kept=self._kept(),
             data_errors=DataErrors(
                 not_finite=tuple(self.bad),
                 outside=float(np.mean(self.outside)),
@@ -248,6 +254,16 @@ class _Sample:
             neighbours=(float(within.mean()), low, median, high, float(within.max())),
             isolated=float((within == 0).mean()),
             by_spacing={f"{factor:g}": float(counts[:, 1 + k].mean()) for k, factor in enumerate(SPACINGS)},
+        )
+
+    def _kept(self) -> Kept:
+        errors = np.array(self.seen.get("kept", np.full((1, 2), np.nan)))
+        return Kept(
+            num_seen=len(self.seen.get("kept", ())),
+            front=float(errors[:, 0].mean()),
+            front_scatter=float(errors[:, 0].std()),
+            map=float(errors[:, 1].mean()),
+            stratified=self.manifest.spec.get("sampling") == "stratified",
         )
 
     def _std_of_all(self, quantity: str) -> float:

@@ -152,6 +152,25 @@ class DataErrors:
 
 
 @dataclass(frozen=True)
+class Kept:
+    """How well the particles of the files stand for the whole runs that they were kept of, in the last frames.
+
+    Attributes:
+        num_seen: trajectories with observables of the whole run, whose front advanced; where it is 0, the rest is NaN.
+        front: mean error of the 99 % front's advance, relative: how far one that repeats the data is off.
+        front_scatter: its standard deviation over the trajectories.
+        map: mean share of the volume in the wrong place.
+        stratified: they were drawn in blocks.
+    """
+
+    num_seen: int
+    front: float
+    front_scatter: float
+    map: float
+    stratified: bool = False
+
+
+@dataclass(frozen=True)
 class Survey:
     """What `survey_dataset` measures.
 
@@ -163,6 +182,7 @@ class Survey:
         starts: how it begins.
         density: how close particles lie.
         motion: how they move.
+        kept: how well its particles stand for whole runs.
         data_errors: what should not be.
     """
 
@@ -173,4 +193,5 @@ class Survey:
     starts: Starts
     density: Density
     motion: Motion
+    kept: Kept
     data_errors: DataErrors

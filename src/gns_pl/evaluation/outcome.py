@@ -104,6 +104,7 @@ def read_outcome(path: Path) -> Outcome:
         dt=header.dt,
         scene=header.scene,
         provenance=header.provenance,
+        observables=None,
         **static,
     )
     every = max(1, math.ceil((header.num_frames - 1) / NUM_FRAMES))

@@ -32,14 +32,15 @@ class Planned:
         split: "train", "valid" or "test".
         scene: what to simulate.
         seed: of the solver's random placement.
-        offsets: k of every lattice that is stored → which of the k^D lattices of every k-th point it is [D].
+        offsets: k of all that is stored → which of the k^D lattices of every k-th point it is [D]; None where points
+            are drawn, by the seed of the placement.
     """
 
     file_name: str
     split: str
     scene: Scene
     seed: int
-    offsets: Mapping[int, tuple[int, ...]]
+    offsets: Mapping[int, tuple[int, ...] | None]
 
 
 def draw_plan(spec: DatasetSpec) -> list[Planned]:
@@ -108,7 +109,10 @@ def _planned(
     scene: Scene,
     placement: np.random.SeedSequence,
 ) -> Planned:
-    offsets = {every: _offset(spec.seed, family, number, every, scene.dim) for every in spec.store_every}
+    lattice = spec.sampling == "lattice"
+    offsets = {
+        every: _offset(spec.seed, family, number, every, scene.dim) if lattice else None for every in spec.store_every
+    }
     seed = int(placement.generate_state(1)[0])
     return Planned(f"trajectory_{first + number:04d}.h5", split, scene, seed, offsets)
 

@@ -20,6 +20,7 @@ from gns_pl.io import (
     read_static,
     write_trajectory,
 )
+from gns_pl.metrics.observables import CELL_SPACINGS, compute_observables
 from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
@@ -31,14 +32,14 @@ class OutputFile:
 
     Attributes:
         path: of the file.
-        every: k: it holds every k-th lattice point per direction.
-        offset: of the lattice it holds [D].
+        every: k: it holds one of k^D points.
+        offset: of the lattice it holds [D]; None where points are drawn.
         num_points: in it.
     """
 
     path: Path
     every: int
-    offset: tuple[int, ...]
+    offset: tuple[int, ...] | None
     num_points: int
 
 
@@ -109,7 +110,7 @@ class Result:
     """The finished files of a simulation.
 
     Attributes:
-        files: k → what is in the file of every k-th point.
+        files: k → what is in the file of one of k^D points.
         wall_seconds: that the solver took, or None if the files were there.
     """
 
@@ -140,7 +141,7 @@ def store(job: Job, trajectory: Trajectory, wall_seconds: float) -> Result:
     """Write those files of `job` that are not there, and measure all.
 
     A file is the same bytes whenever it is made on a CPU, so it does not matter if a killed run has left some of them.
-    Those made on a GPU agree within its rounding.
+    Those made on a GPU agree within its rounding. Observables are those of all points, whichever are kept.
 
     Args:
         job: what was simulated.
@@ -154,7 +155,10 @@ def store(job: Job, trajectory: Trajectory, wall_seconds: float) -> Result:
     for output in job.outputs:
         if not output.path.exists():
             thinned = thin_trajectory(trajectory, job.mpm, job.seed, output.every, output.offset)
-            write_trajectory(output.path, replace(thinned, provenance={**thinned.provenance, **job.provenance}))
+            cell = CELL_SPACINGS * output.every * solver.solver_config(job.mpm).spacing
+            observables = compute_observables(trajectory, cell)
+            provenance = {**thinned.provenance, **job.provenance}
+            write_trajectory(output.path, replace(thinned, provenance=provenance, observables=observables))
     return measure_files(job, wall_seconds)
 
 
@@ -171,8 +175,9 @@ def _measure_file(output: OutputFile, job: Job) -> MeasuredFile:
     header, static = read_header(output.path), read_static(output.path)
     if header.scene != job.scene or header.dt != job.frame_interval:
         raise InputError(f"{output.path}: holds another scene than this data set has there; move it away.")
-    lattice = (header.provenance.get("every", 1), header.provenance.get("offset", list(output.offset)))
-    if lattice != (output.every, list(output.offset)):
+    wanted = output.offset and list(output.offset)
+    stored = (header.provenance.get("every", 1), header.provenance.get("offset", wanted if output.every == 1 else None))
+    if stored != (output.every, wanted):
         raise InputError(f"{output.path}: holds other points than this data set has there; move it away.")
     return MeasuredFile(
         record=FileRecord(file_sha256(output.path), header.num_frames, header.num_particles),

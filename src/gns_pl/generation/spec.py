@@ -17,6 +17,9 @@ from gns_pl.scene import (
 FROM_FILES = "scenes"
 """The kind of a family whose scenes are given, by files or as plain values."""
 
+SAMPLINGS = ("lattice", "stratified")
+"""Ways to choose the points that are stored; sets made before there was another have lattices."""
+
 
 @dataclass(frozen=True)
 class DatasetSpec:
@@ -34,7 +37,9 @@ class DatasetSpec:
             `count` trajectories, of which `valid` and `test` are held out. A family may have walls and a material of
             its own, and a range `friction_angle_deg` from which every trajectory draws [degrees]. A family of the kind
             `scenes` has `files` of scenes, or `scenes` as plain values, and `placements`: trajectories of each.
-        store_every: k of every data set that is stored: every k-th lattice point per direction of each body.
+        store_every: k of every data set that is stored: one of k^D points of each body.
+        sampling: which one: "lattice" keeps every k-th lattice point per direction, "stratified" a point drawn in each
+            block of k^D, which is as far out as all points are (`generation.thinning`).
 
     Raises:
         InputError: a value that cannot be used, in one sentence.
@@ -49,6 +54,7 @@ class DatasetSpec:
     gravity: float
     families: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     store_every: Sequence[int] = (1,)
+    sampling: str = "lattice"
 
     def __post_init__(self) -> None:
         whole_number("data", "seed", self.seed)
@@ -57,6 +63,8 @@ class DatasetSpec:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
                 raise InputError(f"data: {name} must be a positive number, not {value!r}.")
+        if self.sampling not in SAMPLINGS:
+            raise InputError(f"data: sampling must be {' or '.join(SAMPLINGS)}, not {self.sampling!r}.")
         if not isinstance(self.mpm, Mapping):
             raise InputError("data: mpm must be a mapping of the solver's settings.")
         if not isinstance(self.families, Mapping) or not self.families:
@@ -84,10 +92,13 @@ class DatasetSpec:
     def to_dict(self) -> dict[str, Any]:
         """Return the specification as plain values; `from_dict` is its inverse.
 
-        A set of all points says nothing of `store_every`, as those made before there was anything else.
+        A set of all points says nothing of `store_every` and one of lattices nothing of `sampling`, as those made
+        before there was anything else.
         """
-        plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "store_every"}
-        return plain if self.store_every == (1,) else {**plain, "store_every": list(self.store_every)}
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        plain["store_every"] = list(self.store_every)
+        usual = {"store_every": [1], "sampling": SAMPLINGS[0]}
+        return {name: value for name, value in plain.items() if name not in usual or value != usual[name]}
 
 
 def chosen_every(data: Mapping[str, Any]) -> int:
@@ -105,6 +116,11 @@ def chosen_every(data: Mapping[str, Any]) -> int:
         known = " or ".join(map(str, stored))
         raise InputError(f"data: every is {every!r}, but the set is stored with every {known}; choose one of these.")
     return int(every)
+
+
+def is_stratified(data: Mapping[str, Any]) -> bool:
+    """Return whether the points that are stored of a data set, given as plain values, are drawn in blocks."""
+    return data.get("sampling") == "stratified"
 
 
 def _with_scenes(families: Any) -> Any:

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 import gns_pl
 from gns_pl.errors import InputError
-from gns_pl.fields import FIELDS, POSITION
+from gns_pl.fields import FIELDS, OBSERVED, POSITION
 from gns_pl.io import schema
 from gns_pl.io.atomic import write_atomically
+from gns_pl.io.observables import observables_in, write_observables
 from gns_pl.io.regular import regular_size
 from gns_pl.scene import Scene, scene_from_dict
-from gns_pl.trajectory import Trajectory
+from gns_pl.trajectory import Observables, Trajectory
 
 CHUNK_BYTES = 64 * 1024
 """Frames share a chunk up to this size. Measured: larger chunks, LZF and gzip make windows slower."""
@@ -69,6 +70,8 @@ def write_trajectory(path: str | Path, trajectory: Trajectory) -> None:
     path = Path(path)
     arrays = {field.name: np.asarray(getattr(trajectory, field.name), dtype=field.dtype) for field in FIELDS}
     _check_finite(path, arrays)
+    if trajectory.observables is not None:
+        _check_finite(path, {field.name: getattr(trajectory.observables, field.name) for field in OBSERVED})
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=LIBRARY) as file:
         write_content(file, trajectory, arrays)
@@ -100,6 +103,8 @@ def write_content(
             options["maxshape"] = (None, *array.shape[1:])
         file.create_dataset(schema.LOCATION[field.name], data=array, track_times=False, **options)
     _write_attributes(file, trajectory)
+    if trajectory.observables is not None:
+        write_observables(file, trajectory.observables)
 
 
 def frames_per_chunk(shape: tuple[int, ...], itemsize: int = 4) -> int:
@@ -174,12 +179,13 @@ def read_static(path: str | Path) -> dict[str, NDArray[Any]]:
         return {f.name: np.asarray(file[schema.LOCATION[f.name]][()]) for f in FIELDS if "T" not in f.shape}
 
 
-def read_trajectory(path: str | Path, num_frames: int | None = None) -> Trajectory:
+def read_trajectory(path: str | Path, num_frames: int | None = None, *, observables: bool = False) -> Trajectory:
     """Read a trajectory.
 
     Args:
         path: its file.
         num_frames: read only the first so many frames; all if None.
+        observables: read those of the whole run too, where the file has them (`read_observables`).
 
     Raises:
         InputError: as `open_trajectory`, or numbers that are not finite.
@@ -193,6 +199,7 @@ def read_trajectory(path: str | Path, num_frames: int | None = None) -> Trajecto
             )
             for f in FIELDS
         }
+        observed = observables_in(file, num_frames) if observables else None
     _check_finite(path, arrays)
     return Trajectory(
         **arrays,
@@ -200,7 +207,19 @@ def read_trajectory(path: str | Path, num_frames: int | None = None) -> Trajecto
         dt=header.dt,
         scene=header.scene,
         provenance=header.provenance,
+        observables=observed,
     )
+
+
+def read_observables(path: str | Path) -> Observables | None:
+    """Read the observables of the whole run alone, in all frames; None where a file has none.
+
+    Raises:
+        InputError: as `open_trajectory`.
+    """
+    path = Path(path)
+    with open_trajectory(path) as file, _named(path):
+        return observables_in(file)
 
 
 def read_window(source: str | Path | h5py.File, start: int, length: int) -> NDArray[np.float32]:

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from gns_pl.errors import InputError
-from gns_pl.fields import FIELDS, MATERIAL, PARTICLE_TYPE, POSITION
+from gns_pl.fields import FIELDS, MATERIAL, OBSERVED, PARTICLE_TYPE, POSITION
 
 FORMAT_NAME = "gns_pl trajectory"
-FORMAT_VERSION = 1
-"""Version of the trajectory file that is written; a reader refuses a newer one."""
+FORMAT_VERSION = 2
+"""Version of the trajectory file that is written; a reader refuses a newer one. Version 1 had no observables."""
 H5MD_VERSION = (1, 1)
 UNITS_VERSION = (1, 0)
 
@@ -31,6 +31,7 @@ STEP = f"{GROUP}/position/step"
 TIME = f"{GROUP}/position/time"
 SCENE = "parameters/scene"
 PROVENANCE = "parameters/provenance"
+OBSERVABLES = "observables/whole_run"
 FEATURES = f"{GROUP}/{MATERIAL.name}@features"
 
 LOCATION: dict[str, str] = {field.name: f"{GROUP}/{field.name}" for field in FIELDS}
@@ -80,10 +81,17 @@ ENTRIES: tuple[Entry, ...] = (
 )
 """Everything a file must hold. More is allowed, as in H5MD, and ignored."""
 
+OBSERVABLE_ENTRIES: tuple[Entry, ...] = (
+    *(Entry(f"{OBSERVABLES}/{f.name}/value", f.shape, f.dtype, f.unit, f.meaning) for f in OBSERVED),
+    Entry(f"{OBSERVABLES}/front@percents", ("Q",), "float64", "1", "shares of the mass, in per cent"),
+    Entry(f"{OBSERVABLES}/volume_map@cell", (), "float64", "m", "wanted distance of nodes; the box takes whole ones"),
+)
+"""What the group of the observables holds, in a file that has it."""
+
 
 def h5md_unit(unit: str) -> str:
-    """Return `unit` in the spelling of H5MD's units module: "m/s" is "m s-1"."""
-    return re.sub(r"/(\w+)", r" \1-1", unit)
+    """Return `unit` in the spelling of H5MD's units module: "m/s" is "m s-1", "m3" is "m+3"."""
+    return re.sub(r"([a-z])(\d)", r"\1+\2", re.sub(r"/(\w+)", r" \1-1", unit))
 
 
 def check_version(file: Any) -> None:
@@ -105,7 +113,7 @@ def check_version(file: Any) -> None:
 
 
 def check_file(file: Any) -> dict[str, int]:
-    """Check an open file against `ENTRIES`.
+    """Check an open file against `ENTRIES`, and against `OBSERVABLE_ENTRIES` where it has the group.
 
     Args:
         file: an open `h5py.File`.
@@ -120,6 +128,10 @@ def check_file(file: Any) -> dict[str, int]:
     sizes: dict[str, int] = {}
     for entry in ENTRIES:
         _check_entry(file, entry, sizes)
+    if OBSERVABLES in file:
+        observed = {"T": sizes["T"]}
+        for entry in OBSERVABLE_ENTRIES:
+            _check_entry(file, entry, observed)
     if sizes["D"] != int(file[BOX].attrs["dimension"]):
         raise InputError(f"holds positions in {sizes['D']} dimensions, but a box in another number of them.")
     for letter in "TN":
@@ -153,11 +165,7 @@ def _check_entry(file: Any, entry: Entry, sizes: dict[str, int]) -> None:
 
 def render_schema() -> str:
     """Return docs/SCHEMA.md."""
-    rows = "\n".join(
-        f"| `{e.path}` | {'[' + ', '.join(e.shape) + ']' if e.shape else 'scalar'} | {e.dtype} | "
-        f"{'' if e.unit == '1' else e.unit} | {e.meaning} |"
-        for e in ENTRIES
-    )
+    rows, observable_rows = _rows(ENTRIES), _rows(OBSERVABLE_ENTRIES)
     h5md = f"[H5MD](https://nongnu.org/h5md/) {'.'.join(map(str, H5MD_VERSION))}"
     return f"""<!-- Made by gns_pl.io.render_schema(); a test keeps it current. -->
 
@@ -167,13 +175,26 @@ Format version {FORMAT_VERSION}. One HDF5 file holds one trajectory: positions i
 what does not change with time, the scene and how it was made. The groups follow
 {h5md} with fixed step and time.
 
-Shapes: `T` frames, `N` particles, `D` dimensions, `K` material features; `path@name` is an attribute. Units are SI and
-stand at every data set as the attribute `unit` in H5MD's spelling (`m s-1`). Gravity acts along the last axis.
+Shapes: `T` frames, `N` particles, `D` dimensions, `K` material features, `Q` fronts, `X` and `Y` nodes of a map;
+`path@name` is an attribute. Units are SI and stand at every data set as the attribute `unit` in H5MD's spelling
+(`m s-1`). Gravity acts along the last axis.
 
 | path | shape | type | unit | meaning |
 |---|---|---|---|---|
 {rows}
 
+What all points of the run do, of which `particles/all` may hold few, stands in a group that data sets have and other
+files need not (`metrics.observables`). Beside every `value` are H5MD's `step` and `time`, links to those of the
+positions.
+
+| path | shape | type | unit | meaning |
+|---|---|---|---|---|
+{observable_rows}
+
+- The front of a column is measured from the x- wall, that of another scene from the nearest body's ground plan. The
+  grid has round(edge / cell) + 1 nodes, one at least, along each horizontal axis of the box, at its walls the first and
+  last; the kinetic energy of frame k belongs to the middle of the step before it.
+- Files of version 1 are read; they have no observables.
 - Where the scene has an `origin` (D numbers, in m), positions and box are less that: coordinates on the map are
   `position + origin`, to be added in float64. Without one it is zero. Exports for display add it (VTK, ParaView); those
   for training, which are float32, keep it in `metadata.json` under the same name.
@@ -182,3 +203,11 @@ stand at every data set as the attribute `unit` in H5MD's spelling (`m s-1`). Gr
 - Every chunk of every array has a checksum (fletcher32), and every number is finite.
 - Further groups, data sets and attributes are allowed and ignored.
 """
+
+
+def _rows(entries: tuple[Entry, ...]) -> str:
+    return "\n".join(
+        f"| `{e.path}` | {'[' + ', '.join(e.shape) + ']' if e.shape else 'scalar'} | {e.dtype} | "
+        f"{'' if e.unit == '1' else e.unit} | {e.meaning} |"
+        for e in entries
+    )

@@ -31,7 +31,8 @@ from gns_pl.io.hdf5 import (
     read_window,
     write_content,
 )
-from gns_pl.trajectory import Trajectory
+from gns_pl.io.observables import write_observables
+from gns_pl.trajectory import Observables, Trajectory
 
 HEADROOM = 2**20
 """Bytes that are left free on the disk, for what HDF5 writes besides frames."""
@@ -62,6 +63,7 @@ class TrajectoryStream:
         self._chunk = frames_per_chunk(start.position.shape[1:])
         with _told(self.growing):
             self._file = h5py.File(self.growing, "w", libver=LIBRARY, locking=False)
+            start = replace(start, observables=None)
             empty = replace(start, position=start.position[:0])
             arrays = {field.name: np.asarray(getattr(empty, field.name), dtype=field.dtype) for field in FIELDS}
             write_content(self._file, start, arrays, growing=True)
@@ -100,8 +102,12 @@ class TrajectoryStream:
                 value[length:] = np.stack(waiting)
                 value.flush()
 
-    def finish(self, provenance: dict[str, object]) -> None:
+    def finish(self, provenance: dict[str, object], observables: Observables | None = None) -> None:
         """Write what is left and how the trajectory was made, and give the file its name.
+
+        Args:
+            provenance: how it was made.
+            observables: of its frames, where they are to be stored.
 
         Raises:
             StorageError: the disk refuses; the growing file stays.
@@ -113,6 +119,8 @@ class TrajectoryStream:
                 del file[schema.PROVENANCE]
                 text = json.dumps(provenance, allow_nan=False)
                 file.create_dataset(schema.PROVENANCE, data=text, track_times=False)
+                if observables is not None:
+                    write_observables(file, observables)
             sync(self.growing)
             self.growing.replace(self.path)
             sync(self.path.parent)

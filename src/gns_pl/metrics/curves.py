@@ -73,8 +73,8 @@ def mobile(trajectory: Trajectory) -> Trajectory:
 
 
 def cut(trajectory: Trajectory, num_frames: int) -> Trajectory:
-    """Return the first `num_frames` frames."""
-    return replace(trajectory, position=trajectory.position[:num_frames])
+    """Return the first `num_frames` frames, without observables."""
+    return replace(trajectory, position=trajectory.position[:num_frames], observables=None)
 
 
 def num_finite_frames(trajectory: Trajectory) -> int:

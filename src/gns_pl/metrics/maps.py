@@ -8,12 +8,19 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gns_pl.metrics.measures import Floats
 from gns_pl.scene import Scene
 
 MAP_CELL = 1 / 12
 """Wanted distance of the grid's nodes [m]: two particle spacings of MPM on the paper's cells."""
+
+
+def map_cells(scene: Scene, cell: float) -> NDArray[np.int64]:
+    """Return how many cells the map of a scene has along each horizontal axis [D - 1]; arguments as of `volume_map`."""
+    extent = np.array(scene.upper[:-1]) - np.array(scene.lower[:-1])
+    return np.asarray(np.maximum(1, np.rint(extent / cell)), dtype=np.int64)
 
 
 def volume_map(position: Floats, volume: Floats, scene: Scene, cell: float = MAP_CELL) -> Floats:
@@ -32,7 +39,7 @@ def volume_map(position: Floats, volume: Floats, scene: Scene, cell: float = MAP
         [X + 1, Y + 1], or [X + 1] in two dimensions [m^D].
     """
     lower, upper = (np.array(corner[:-1]) for corner in (scene.lower, scene.upper))
-    number = np.maximum(1, np.rint((upper - lower) / cell)).astype(np.int64)
+    number = map_cells(scene, cell)
     place = np.clip((position[:, :-1] - lower) / (upper - lower), 0.0, 1.0) * number
     node = np.minimum(place.astype(np.int64), number - 1)
     share = place - node

@@ -312,6 +312,7 @@ def rollouts(
             position=np.stack(some),
             dt=stepper.config.dt,
             provenance={"solver": "gns_pl.rollout", **ending, **how},
+            observables=None,
         )
         for start, some, ending in zip(starts, frames, endings, strict=True)
     ]

@@ -58,7 +58,7 @@ class SleepingStepper:
     """Steps in which particles at rest sleep.
 
     Args:
-        stepper: makes the steps, without gradients. One whose step is closed passes all messages.
+        stepper: makes the steps. One whose step is closed passes all messages.
         speed: below which a particle is still [m/s].
 
     Whether somebody sleeps depends on the latest positions alone, so that a run that goes on later goes on as it was.

@@ -2,6 +2,9 @@
 
 Each undoes one way in which learned runs fail (`rollout.failure`): particles on top of each other, energy out of
 nothing, heaps that never rest. docs/stability.md has what each is worth.
+
+Derivatives go through such steps as well, for training on whole runs: particles that were moved apart have those of the
+step before it (straight-through, Bengio et al. 2013), velocities that were scaled down those of the factor held.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ class StableStepper:
     """Steps that are corrected one after the other: distances, then energy.
 
     Args:
-        stepper: makes the steps, without gradients.
+        stepper: makes the steps.
         min_distance: as of `stabilise`.
         energy_limiter: as of `stabilise`.
     """
@@ -68,9 +71,13 @@ class StableStepper:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         position = self._stepper(history, scenes)
         if self.min_distance:
-            position = self._apart(position, scenes)
+            apart = self._apart(position.detach(), scenes)
+            # The difference is zero: it takes the derivative past the shifts, and leaves the numbers as they are.
+            position = apart + (position - position.detach()) if position.requires_grad else apart
         if self.energy_limiter:
-            position = self._dissipating(history, position, scenes)
+            factor = self._dissipating(history.detach(), position.detach(), scenes)
+            before = history[:, -1]
+            position = torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
         return torch.where(scenes.moved[:, None], position, history[:, -1])
 
     def _apart(self, position: Tensor, scenes: SceneBatch) -> Tensor:
@@ -93,7 +100,7 @@ class StableStepper:
         return position
 
     def _dissipating(self, history: Tensor, position: Tensor, scenes: SceneBatch) -> Tensor:
-        """Scale the velocities of scenes whose energy rose, by the largest s in [0, 1] with E(s) ≤ E_before.
+        """Return what scales velocities down where energy rose: the largest s in [0, 1] with E(s) ≤ E_before [N, 1].
 
         E(s) = Σ m (s² v²/2 − g · (x + s v Δt/2)) is quadratic in s: the energy in the middle of the step, which free
         fall keeps. Particles weigh what they fill, exact for one density; a halt is what is left where no s does. Where
@@ -112,8 +119,7 @@ class StableStepper:
         factor = ((root - linear) / (2 * quadratic).clamp_min(1e-30)).clamp(0, 1)
         pushed = self._sum(weight, past.square().sum(1) * ~scenes.moved, scenes) > 0
         factor = torch.where(pushed | (quadratic + linear <= allowed), 1.0, factor)
-        factor = scenes.of_particles(factor[:, None])
-        return torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
+        return scenes.of_particles(factor[:, None])
 
     @staticmethod
     def _sum(weight: Tensor, value: Tensor, scenes: SceneBatch) -> Tensor:

@@ -17,7 +17,7 @@ from gns_pl.models.simulator import Evaluation, Search, Simulator
 
 
 class Stepper(Protocol):
-    """Makes steps of scenes, without gradients unless it is a simulator itself."""
+    """Makes steps of scenes; with gradients if it is a simulator itself, or one that is stabilised and nothing more."""
 
     @property
     def config(self) -> SimulatorConfig:

@@ -13,6 +13,7 @@ from gns_pl.scene.catalogue import (
     sample_block_release,
     sample_column_collapse,
     sample_cube_drop,
+    sample_pair_release,
 )
 from gns_pl.scene.definition import FACES, Body, Material, Scene
 from gns_pl.scene.filling import Particles, fill_scene
@@ -39,6 +40,7 @@ __all__ = [
     "sample_block_release",
     "sample_column_collapse",
     "sample_cube_drop",
+    "sample_pair_release",
     "scene_from_dict",
     "signed_distance",
     "write_scene",

@@ -182,6 +182,63 @@ def sample_block_release(
     )
 
 
+def sample_pair_release(
+    generator: np.random.Generator,
+    *,
+    domain: Sequence[float],
+    length: Sequence[float],
+    aspect_ratio: Sequence[float],
+    at_wall: float,
+    speed: float,
+    gravity: float,
+    duration: float,
+    material: Material,
+    walls: Mapping[str, Wall],
+    name: str = "pair_release",
+) -> Scene:
+    """Draw two blocks on the floor that run into each other, each in its half of the box along x.
+
+    Args:
+        generator: source of randomness.
+        domain: edge lengths of the box [D] [m].
+        length: smallest and largest horizontal edge of either [m].
+        aspect_ratio: smallest and largest height over x edge; heights are cut to the box.
+        at_wall: probability that a block touches the wall behind it, and a random one of the other axis.
+        speed: each begins with up to so much towards the other [m/s].
+        gravity: magnitude [m/s²].
+        duration: simulated time [s].
+        material: what both are made of.
+        walls: face → wall, every face.
+        name: name of the scene.
+
+    Raises:
+        InputError: ranges that do not fit the domain.
+    """
+    speed = checked_number("pair releases", "speed", speed, 0.0)
+    domain = checked_numbers("pair releases", "domain", domain)
+    half, bodies = (0.5 * domain[0], *domain[1:]), []
+    for side in (0, 1):
+        drawn = sample_block_release(
+            generator,
+            domain=half,
+            length=length,
+            aspect_ratio=aspect_ratio,
+            at_wall=at_wall,
+            gravity=gravity,
+            duration=duration,
+            material=material,
+            walls=walls,
+        )
+        [block] = drawn.bodies
+        # A block at a wall of its half along x may stand in the middle of the box; the one behind it is meant.
+        room = half[0] - block.size[0]
+        place = side * room if block.position[0] in (0.0, room) else block.position[0]
+        towards = generator.uniform(0, speed) * (1 - 2 * side)
+        position = (side * half[0] + place, *block.position[1:])
+        bodies.append(Body(position, block.size, (towards, *(0.0,) * (len(domain) - 1))))
+    return _box(name, domain, gravity, duration, material, walls, *bodies)
+
+
 def sample_column_collapse(
     generator: np.random.Generator,
     *,
@@ -242,7 +299,7 @@ def _box(
     duration: float,
     material: Material,
     walls: Mapping[str, Wall],
-    body: Body,
+    *bodies: Body,
 ) -> Scene:
     dim = len(domain)
     return Scene(
@@ -252,6 +309,6 @@ def _box(
         gravity=(*(0.0,) * (dim - 1), -gravity),
         duration=duration,
         materials={"sand": material},
-        bodies=(body,),
+        bodies=bodies,
         walls=dict(walls),
     )

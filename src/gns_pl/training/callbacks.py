@@ -1,4 +1,4 @@
-"""What ends a run early without losing anything: a signal, or a loss that is not finite."""
+"""What ends a run early without losing anything: a signal, or a loss that is not finite; and what skips a step."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from gns_pl.errors import InputError
 from gns_pl.io.atomic import write_atomically
 from gns_pl.training.checkpoints import LAST
+from gns_pl.training.learning import LearningModule
 
 ADVANCE_WARNINGS = ("SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGHUP")
 """Signals by which batch systems (`sbatch --signal=USR1`) and closing terminals announce an end; they end a process."""
@@ -81,8 +82,10 @@ class StopAtNonFinite(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Note the first bad step."""
+        """Note the first bad step that is not left out."""
         assert self._first is not None
+        if outputs["skippable"]:
+            return
         bad = ~outputs["joined"].isfinite() & (self._first < 0)
         self._first = torch.where(bad, trainer.global_step - 1, self._first)
         if self._first.device.type == "cpu" or trainer.global_step % cast(Any, trainer).log_every_n_steps == 0:
@@ -119,3 +122,52 @@ class StopAtNonFinite(Callback):
             f"{what} not finite in step {step}{remark}; the windows of this step and the one before are in {path}: "
             "look at them, or lower training.optimisation.learning_rate."
         )
+
+
+MOST_SKIPPED = 20
+"""So many steps in a row that are not finite end a training."""
+
+
+class SkipNonFinite(Callback):
+    """Leaves out steps whose gradients are not finite, where the module wants it: whole runs break now and then.
+
+    The weights stay as they are and the optimiser sees nothing; the step counts, so that the next one has other scenes.
+    All processes see the mean of their gradients, and leave out the same steps.
+
+    Attributes:
+        skipped: steps left out so far, over all starts.
+    """
+
+    def __init__(self) -> None:
+        self.skipped = self._in_a_row = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the counts."""
+        return {"skipped": self.skipped, "in_a_row": self._in_a_row}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on counting."""
+        self.skipped, self._in_a_row = state_dict["skipped"], state_dict["in_a_row"]
+
+    def on_before_optimizer_step(self, trainer: Trainer, pl_module: LightningModule, optimizer: Any) -> None:
+        """Take the gradients away if they are not finite.
+
+        Raises:
+            InputError: so were those of many steps before.
+        """
+        if not cast(LearningModule, pl_module).skips_non_finite:
+            return
+        gradients = [weight.grad for weight in pl_module.parameters() if weight.grad is not None]
+        if bool(torch.stack([gradient.isfinite().all() for gradient in gradients]).all()):
+            self._in_a_row = 0
+        else:
+            for weight in pl_module.parameters():
+                weight.grad = None
+            self.skipped += 1
+            self._in_a_row += 1
+        pl_module.log("skipped", float(self.skipped), batch_size=1)
+        if self._in_a_row == MOST_SKIPPED:
+            raise InputError(
+                f"{MOST_SKIPPED} whole runs in a row were not finite, up to step {trainer.global_step}; lower "
+                "training.rollout.learning_rate, or train longer before them."
+            )

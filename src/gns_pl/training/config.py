@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.training.optimiser import OPTIMISERS
+from gns_pl.training.outcomes import ERRORS
 from gns_pl.training.perturbation import Perturbation
 
 
@@ -56,6 +58,40 @@ class Optimisation:
 
 
 @dataclass(frozen=True)
+class RolloutPhase:
+    """How whole runs are compared with whole fine runs, in the last steps of a training (`training.whole_runs`).
+
+    Attributes:
+        num_steps: the last so many training steps; 0 for none.
+        scenes: rolled out in every one of them, by all devices together.
+        learning_rate: its largest value in these steps.
+        whole_from: share of these steps after which runs are whole; before, their length grows.
+        weights: of the errors of a run, `training.outcomes.ERRORS`, and of "windows", the usual loss beside.
+
+    Raises:
+        InputError: an unknown or missing key, or a value out of range.
+    """
+
+    num_steps: int
+    scenes: int
+    learning_rate: float
+    whole_from: float
+    weights: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        owner = "training.rollout"
+        _check(owner, self, num_steps=0, scenes=1, learning_rate=0.0, whole_from=0.0)
+        if self.whole_from > 1:
+            raise InputError(
+                f"{owner}.whole_from is a share of the steps, and must be at most 1, not {self.whole_from}."
+            )
+        _check_keys(f"{owner}.weights", self.weights, {*ERRORS, "windows"})
+        _check(f"{owner}.weights", SimpleNamespace(**self.weights), **dict.fromkeys(self.weights, 0.0))
+        if not any(self.weights[name] for name in ERRORS):
+            raise InputError(f"{owner}.weights: one of {', '.join(ERRORS)} must be above 0.")
+
+
+@dataclass(frozen=True)
 class TrainingConfig:
     """Everything in conf/training.
 
@@ -69,6 +105,7 @@ class TrainingConfig:
         moving_repeats: how often a pass shows the windows in which something moves.
         perturbation: noise.
         optimisation: the fit.
+        rollout: its last steps.
 
     Raises:
         InputError: an unknown or missing key, or a value out of range.
@@ -83,12 +120,20 @@ class TrainingConfig:
     moving_repeats: int
     perturbation: Perturbation
     optimisation: Optimisation
+    rollout: RolloutPhase
 
     def __post_init__(self) -> None:
         _check("training", self, batch_size=1, num_workers=0, stride=1, start_repeats=1, moving_repeats=1)
         _check("training", self, memory_limit=0.0)
         if self.num_train is not None:
             _check("training", self, num_train=1)
+        if self.rollout.num_steps > self.optimisation.num_steps:
+            raise InputError(
+                f"training.rollout.num_steps is {self.rollout.num_steps}, more than all steps of the training, "
+                f"training.optimisation.num_steps={self.optimisation.num_steps}."
+            )
+        if self.rollout.num_steps and not self.optimisation.learning_rate > 0:
+            raise InputError("training.optimisation.learning_rate must be above 0 where training.rollout has steps.")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TrainingConfig:
@@ -96,11 +141,14 @@ class TrainingConfig:
         noise = [field.name for field in dataclasses.fields(Perturbation)]
         known = {field.name for field in dataclasses.fields(cls)} - {"perturbation"} | set(noise)
         _check_keys("training", data, known)
-        _check_keys("training.optimisation", data["optimisation"], {f.name for f in dataclasses.fields(Optimisation)})
-        rest = {key: value for key, value in data.items() if key not in noise and key != "optimisation"}
+        parts = {"optimisation": Optimisation, "rollout": RolloutPhase}
+        for name, part in parts.items():
+            _check_keys(f"training.{name}", data[name], {field.name for field in dataclasses.fields(part)})
+        rest = {key: value for key, value in data.items() if key not in noise and key not in parts}
         return cls(
             perturbation=Perturbation(**{key: data[key] for key in noise}),
             optimisation=Optimisation(**data["optimisation"]),
+            rollout=RolloutPhase(**data["rollout"]),
             **rest,
         )
 

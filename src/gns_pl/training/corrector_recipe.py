@@ -35,6 +35,8 @@ class CorrectorRecipe(Recipe):
         self.settings = settings
         self.training = CorrectionConfig.from_dict(settings["training"])
         self.num_steps, self.batch_size = self.training.num_steps, self.training.batch_size
+        if settings["ckpt"] is not None:
+            raise InputError("a corrector begins with random weights; leave ckpt out.")
         if is_imported(settings["data"]):
             raise InputError(
                 "model=corrector learns what MPM misses of its own finer runs, and these data are imported."

@@ -22,6 +22,11 @@ class LearningModule(LightningModule):
 
     provenance: dict[str, Any]
 
+    @property
+    def skips_non_finite(self) -> bool:
+        """Whether the step that is made is left out, and does not end the training, if it is not finite."""
+        return False
+
     @abstractmethod
     def loss(self, batch: Any) -> Tensor:
         """Return the loss of what the data module yields for a step []."""
@@ -30,12 +35,12 @@ class LearningModule(LightningModule):
     def entry(self, provenance: dict[str, Any]) -> dict[str, Any]:
         """Return what a checkpoint stores under `gns_pl.models.checkpoint.KEY`, plain values and tensors only."""
 
-    def training_step(self, batch: Any, batch_index: int) -> dict[str, Tensor]:
-        """Return "loss", that of this process's windows, and "joined", that of all processes' windows."""
+    def training_step(self, batch: Any, batch_index: int) -> dict[str, Any]:
+        """Return "loss", that of this process's windows, "joined", that of all processes' windows, and "skippable"."""
         loss = self.loss(batch)
         joined = self.trainer.strategy.reduce(loss.detach().clone(), reduce_op="mean")
         self.log("loss", joined, prog_bar=True, batch_size=1)
-        return {"loss": loss, "joined": cast(Tensor, joined)}
+        return {"loss": loss, "joined": cast(Tensor, joined), "skippable": self.skips_non_finite}
 
     def on_validation_epoch_start(self) -> None:
         """Begin a new table of errors."""

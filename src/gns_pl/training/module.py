@@ -16,12 +16,17 @@ from gns_pl.models.checkpoint import Checkpoint, checkpoint_entry
 from gns_pl.models.registry import build_simulator
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.training.learning import LearningModule
-from gns_pl.training.optimiser import MuonAndAdamW
+from gns_pl.training.optimiser import MuonAndAdamW, forget
+from gns_pl.training.outcomes import ERRORS
 from gns_pl.training.perturbation import Perturbation
 from gns_pl.training.symmetry import sample_symmetry
 from gns_pl.training.unroll import unrolled_loss
 from gns_pl.training.validation import STEP_SECONDS
+from gns_pl.training.whole_runs import WholeRuns
 from gns_pl.trajectory import Trajectory
+
+ROLLOUT_WARMUP = 0.05
+"""Share of the steps of whole runs in which the learning rate rises."""
 
 
 def static_of_batch(batch: Data) -> SceneBatch:
@@ -53,6 +58,7 @@ class SimulatorModule(LearningModule):
         data: specification of the data, stored in the checkpoint.
         optimisation: `Optimisation` as a dict.
         perturbation: `Perturbation` as a dict.
+        rollout: `RolloutPhase` as a dict.
         particles_per_window: mean number of moved particles of a window of the training set.
         seed: of the noise.
         provenance: stored in the checkpoint.
@@ -65,6 +71,7 @@ class SimulatorModule(LearningModule):
         data: dict[str, Any],
         optimisation: dict[str, Any],
         perturbation: dict[str, Any],
+        rollout: dict[str, Any],
         particles_per_window: float,
         seed: int,
         provenance: dict[str, Any],
@@ -73,14 +80,40 @@ class SimulatorModule(LearningModule):
         self.save_hyperparameters(logger=False)
         self.simulator = build_simulator(model)
         self.perturb = Perturbation(**perturbation)
-        self.optimisation = optimisation
+        self.optimisation, self.rollout = optimisation, rollout
+        self.first_rollout: int = optimisation["num_steps"] - rollout["num_steps"]
+        self.whole_runs: WholeRuns | None = None  # needed from step `first_rollout` on
         self.data = data
         self.particles_per_window = particles_per_window
         self.seed = seed
         self.provenance = provenance
         self.distribution: TrainingDistribution | None = None  # set once the statistics are; stored in the checkpoint
 
+    @property
+    def skips_non_finite(self) -> bool:
+        """Whether this step makes whole runs."""
+        return self.global_step >= self.first_rollout
+
     def loss(self, batch: Data) -> Tensor:
+        """Return the loss of a step []: that of its windows, in the last steps that of whole runs too."""
+        if not self.skips_non_finite:
+            return self.window_loss(batch)
+        assert self.whole_runs is not None
+        step, trainer = self.global_step - self.first_rollout, self.trainer
+        errors = self.whole_runs.errors(self.simulator, step, trainer.global_rank, trainer.world_size)
+        joined = cast(Tensor, trainer.strategy.reduce(errors.detach().clone(), reduce_op="mean"))
+        for name, error in zip(ERRORS, joined, strict=True):
+            self.log(f"rollout/{name}", error, batch_size=1)
+        weight = self.rollout["weights"]["windows"]
+        loss = self.whole_runs.loss(errors)
+        return loss + weight * self.window_loss(batch) if weight else loss
+
+    def on_train_batch_start(self, batch: Any, batch_index: int) -> None:
+        """Begin the steps of whole runs with an optimiser that remembers nothing of the others' gradients."""
+        if self.global_step == self.first_rollout:
+            forget(self.trainer.optimizers[0])
+
+    def window_loss(self, batch: Data) -> Tensor:
         """Return the loss of a batch of windows [].
 
         The loss of a particle is the mean over the components of its normalised acceleration. Few particles at an
@@ -127,7 +160,7 @@ class SimulatorModule(LearningModule):
     def _unrolled(self, step: int) -> int:
         """Return how many steps in a row training step `step` makes."""
         settings = self.optimisation
-        late = step >= settings["unroll_from"] * settings["num_steps"]
+        late = step >= settings["unroll_from"] * self.first_rollout
         return int(settings["unroll_steps"]) if late else 1
 
     def validation_step(self, reference: Trajectory | None, batch_index: int) -> dict[str, Any] | None:
@@ -151,16 +184,20 @@ class SimulatorModule(LearningModule):
             optimizer = MuonAndAdamW(self, lr=rate, weight_decay=decay)
         else:
             optimizer = torch.optim.AdamW(self.parameters(), lr=rate, weight_decay=decay, fused=True)
-        scheduler = torch.optim.lr_scheduler.LambdaLR(
-            optimizer,
-            lambda step: learning_rate_factor(
-                step,
-                warmup_steps=settings["warmup_steps"],
-                num_steps=settings["num_steps"],
-                final_factor=settings["final_factor"],
-            ),
-        )
+        scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, self._rate)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+
+    def _rate(self, step: int) -> float:
+        """Return a step's learning rate over that of `optimisation`: it rises and falls, and anew for whole runs."""
+        settings, rollout, first = self.optimisation, self.rollout, self.first_rollout
+        final = settings["final_factor"]
+        if step < first or not rollout["num_steps"]:
+            return learning_rate_factor(
+                step, warmup_steps=settings["warmup_steps"], num_steps=first, final_factor=final
+            )
+        warmup, number = math.ceil(ROLLOUT_WARMUP * rollout["num_steps"]), rollout["num_steps"]
+        factor = learning_rate_factor(step - first, warmup_steps=warmup, num_steps=number, final_factor=final)
+        return float(factor * rollout["learning_rate"] / settings["learning_rate"])
 
     def entry(self, provenance: dict[str, Any]) -> dict[str, Any]:
         """Return what `gns_pl.models.checkpoint` reads."""

@@ -112,3 +112,10 @@ class MuonAndAdamW(Optimizer):
         self.muon.load_state_dict(state_dict["muon"])
         self.adamw.load_state_dict(state_dict["adamw"])
         self._share_groups()
+
+
+def forget(optimizer: Optimizer) -> None:
+    """Let an optimiser begin anew, without the momenta and squares of the gradients so far."""
+    parts = (optimizer.muon, optimizer.adamw) if isinstance(optimizer, MuonAndAdamW) else (optimizer,)
+    for part in parts:
+        part.state.clear()

@@ -16,11 +16,13 @@ from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.errors import tolerated
 from gns_pl.io.atomic import write_atomically
 from gns_pl.text import without_nan
+from gns_pl.training.callbacks import SkipNonFinite
 from gns_pl.training.checkpoints import LAST, BestCheckpoint, best_checkpoint
 from gns_pl.training.clock import Clock
 from gns_pl.training.history import PREFIX, Floats, History, read_history
 from gns_pl.training.learning import LearningModule
 from gns_pl.training.loggers import log_image
+from gns_pl.training.module import SimulatorModule
 from gns_pl.training.progress import validation_values
 from gns_pl.training.summary import FORMAT, FORMAT_VERSION, SUMMARY_FILE, headline, summary_lines
 from gns_pl.training.validation import MONITORED
@@ -113,6 +115,7 @@ def summarise_run(
         "step_seconds": _median(history.training["step_seconds"]),
         "windows_per_s": _median(history.training["windows_per_s"]),
         "rollout_step_seconds": _median(history.validation.get("rollout_step_seconds", np.empty(0))),
+        **whole_runs(trainer, module, history),
         "monitor": monitor,
         "best": best,
         "final": final,
@@ -120,6 +123,17 @@ def summarise_run(
     }
     plain: dict[str, Any] = without_nan(summary)
     return plain
+
+
+def whole_runs(trainer: Trainer, module: LearningModule, history: History) -> dict[str, dict[str, Any]]:
+    """Return "rollouts" of the steps that made whole runs: their number, time and how many of them were left out."""
+    if not isinstance(module, SimulatorModule) or trainer.global_step <= module.first_rollout:
+        return {}
+    skips = [each.skipped for each in trainer.callbacks if isinstance(each, SkipNonFinite)]  # type: ignore[attr-defined]
+    late = history.training["step"] > module.first_rollout
+    seconds = _median(history.training["step_seconds"][late])
+    number = trainer.global_step - module.first_rollout
+    return {"rollouts": {"num_steps": number, "step_seconds": seconds, "skipped": sum(skips)}}
 
 
 def unlogged_validations(trainer: Trainer) -> tuple[dict[str, float] | None, dict[str, float] | None]:

@@ -67,6 +67,11 @@ def summary_lines(summary: Mapping[str, Any]) -> list[str]:
     ]
     known = [f"{value * factor:.3g} {unit}" for value, factor, unit in paces if value is not None]
     lines.append(f"  pace        {', '.join(known) or 'not measured'} on {device}")
+    if "rollouts" in summary:
+        runs = summary["rollouts"]
+        pace = "" if runs["step_seconds"] is None else f", {runs['step_seconds']:.3g} s each"
+        left = f"{runs['skipped']} left out, not finite" if runs["skipped"] else "none left out"
+        lines.append(f"  rollouts    {runs['num_steps']:,} steps of whole runs{pace}, {left}")
     for label, values in (("best", summary["best"]), ("at the end", summary["final"])):
         if values is not None:
             lines.append(f"  {label:<11} step {values['step']:,}: {described(values)}")

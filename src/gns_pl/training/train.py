@@ -18,10 +18,12 @@ from gns_pl.errors import InputError, tolerated
 from gns_pl.generation import find_dataset, resolved_data
 from gns_pl.io import StorageError
 from gns_pl.machine import provide_home
+from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.models.registry import simulator_config
-from gns_pl.models.shipped import CORRECTOR_KIND
+from gns_pl.models.shipped import CORRECTOR_KIND, existing_checkpoint
 from gns_pl.nn import in_float32
 from gns_pl.nn.memory import keep_freed_memory
+from gns_pl.training.beginning import begin_from
 from gns_pl.training.callbacks import StopAtSignal
 from gns_pl.training.checkpoints import BEST, LAST, best_checkpoint
 from gns_pl.training.config import TrainingConfig
@@ -36,6 +38,7 @@ from gns_pl.training.resume import exclusive, go_on, steps_made
 from gns_pl.training.run_summary import close_run, run_files
 from gns_pl.training.summary import SUMMARY_FILE
 from gns_pl.training.trainer import build_trainer, quieten
+from gns_pl.training.whole_runs import WholeRuns, read_fine_run
 
 
 class SimulatorRecipe(Recipe):
@@ -52,6 +55,10 @@ class SimulatorRecipe(Recipe):
         self.settings = settings
         self.training = TrainingConfig.from_dict(settings["training"])
         check_model(settings["model"])
+        name = settings["ckpt"]
+        if not (name is None or isinstance(name, str)):
+            raise InputError(f"ckpt must be one file, or one name of a model of the package, not {name}.")
+        self.begun = None if name is None else load_checkpoint(existing_checkpoint(name))
         self.num_steps, self.batch_size = self.training.optimisation.num_steps, self.training.batch_size
 
     def build(self, directory: Path, trainer: Trainer) -> tuple[SimulatorModule, TrajectoryDataModule]:
@@ -60,7 +67,18 @@ class SimulatorRecipe(Recipe):
         datamodule = build_data(directory, self.training, length, self.settings["seed"])
         if trainer.limit_val_batches:
             datamodule.check_validation()
-        return build_module(self.settings, self.training, datamodule), datamodule
+        phase, processes = self.training.rollout, trainer.num_nodes * trainer.num_devices
+        if phase.num_steps and phase.scenes % processes:
+            raise InputError(
+                f"training.rollout.scenes={phase.scenes} per step cannot be shared by {processes} processes alike; "
+                "make it a multiple, or set trainer.devices."
+            )
+        module = build_module(self.settings, self.training, datamodule, self.begun)
+        if phase.num_steps:
+            runs = [read_fine_run(directory / name, self.training.stride) for name in datamodule.train_names]
+            symmetry, seed = self.training.optimisation.symmetry, self.settings["seed"]
+            module.whole_runs = WholeRuns(runs, phase, self.settings["data"], symmetry=symmetry, seed=seed)
+        return module, datamodule
 
 
 def find_recipe(settings: Mapping[str, Any]) -> Recipe:
@@ -225,7 +243,10 @@ def build_data(directory: Path, training: TrainingConfig, length: int, seed: int
 
 
 def build_module(
-    settings: Mapping[str, Any], training: TrainingConfig, datamodule: TrajectoryDataModule
+    settings: Mapping[str, Any],
+    training: TrainingConfig,
+    datamodule: TrajectoryDataModule,
+    begun: Checkpoint | None = None,
 ) -> SimulatorModule:
     """Return the module with the statistics of its data set.
 
@@ -233,6 +254,10 @@ def build_module(
         settings: the resolved config.
         training: conf/training, checked.
         datamodule: with its training set open.
+        begun: what the training begins with; None for random weights.
+
+    Raises:
+        InputError: data that do not fit, or a beginning of another build.
     """
     manifest = datamodule.manifest
     of_data: dict[str, Any] = {
@@ -249,6 +274,7 @@ def build_module(
         data=settings["data"],
         optimisation=vars(training.optimisation),
         perturbation=vars(training.perturbation),
+        rollout=vars(training.rollout),
         particles_per_window=datamodule.train_set.mean_moved_particles(),
         seed=settings["seed"],
         provenance=provenance(settings, datamodule.directory),
@@ -263,6 +289,8 @@ def build_module(
         noise_std=training.perturbation.noise_std,
         material=material_scale(datamodule, len(of_data["material_features"])),
     )
+    if begun is not None:
+        begin_from(module.simulator, begun, settings["ckpt"])
     if module.simulator.config.exact_steps:
         module.provenance["frame_statistics"] = moments  # digit for digit, as an export of the weights needs them
     module.distribution = measure_distribution(

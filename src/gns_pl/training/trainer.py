@@ -14,7 +14,7 @@ from lightning.pytorch.callbacks import LearningRateMonitor, ProgressBar
 from omegaconf import DictConfig
 
 from gns_pl.errors import InputError
-from gns_pl.training.callbacks import StopAtNonFinite, StopAtSignal
+from gns_pl.training.callbacks import SkipNonFinite, StopAtNonFinite, StopAtSignal
 from gns_pl.training.checkpoints import AtomicCheckpointIO, LastCheckpoint
 from gns_pl.training.launch import cluster_environments, launched_devices
 from gns_pl.training.loggers import make_loggers
@@ -46,7 +46,7 @@ def build_trainer(cfg: DictConfig, output: Path, steps: int, stop: StopAtSignal)
         trainer: Trainer = instantiate(
             cfg.trainer,
             **launched,
-            callbacks=[*configured, stop, StopAtNonFinite(output)],
+            callbacks=[*configured, stop, StopAtNonFinite(output), SkipNonFinite()],
             logger=loggers or False,
             plugins=[AtomicCheckpointIO(), *cluster_environments()],
             use_distributed_sampler=False,  # the data module shares windows and trajectories itself

@@ -106,7 +106,7 @@ def _points(trajectory: Trajectory, frame: int) -> Array:
 def _arrays(trajectory: Trajectory, frame: int, reference: Trajectory | None) -> dict[str, Array]:
     """Return what the points of a frame carry, by name."""
     position = trajectory.position[frame].astype(np.float64)
-    around = replace(trajectory, position=trajectory.position[max(frame - 1, 0) : frame + 1])
+    around = replace(trajectory, position=trajectory.position[max(frame - 1, 0) : frame + 1], observables=None)
     velocity = around.velocity()[-1]  # of two frames: those of all would take three times the trajectory's memory
     arrays: dict[str, Array] = {
         "velocity": in_space(velocity),

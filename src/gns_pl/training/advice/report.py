@@ -122,7 +122,15 @@ def _density_rows(advice: Advice) -> list[tuple[str, str, str]]:
     density, model, starts = advice.survey.density, advice.model, advice.survey.starts
     mean, low, _, high, most = density.neighbours
     around = ", ".join(number(count) for count in density.by_spacing.values())
+    kept = advice.survey.kept
+    front = (
+        "kept points' front, error",
+        f"{100 * kept.front:+.3g} %",
+        f"± {100 * kept.front_scatter:.3g} % over {kept.num_seen} trajectories, against all points of their runs; "
+        f"{percent(kept.map)} of the volume misplaced",
+    )
     return [
+        *([front] if kept.num_seen else []),
         (
             "spacing [m]",
             _number(density.measured),

@@ -39,6 +39,10 @@ MOVING_FRAMES, MOVING_AT_END = 0.4, 0.3
 DENSITY_CHANGE = (0.75, 1.3)
 """Least and largest density at the end over that at the start."""
 
+KEPT_SHORT, KEPT_LEAST = 0.03, 5
+"""Largest error of the kept points' front in the mean, over so many trajectories at least; lattices of every third
+point are 5 to 10 % short."""
+
 IN_MEMORY, TOO_LARGE = 0.5, 0.8
 """Shares of the machine's memory: positions up to the first may be kept there, beyond the second not."""
 
@@ -205,6 +209,18 @@ def _density_change(advice: Advice) -> Suggestion | None:
     )
 
 
+def _kept(advice: Advice) -> Suggestion | None:
+    kept = advice.survey.kept
+    chance = 2 * kept.front_scatter / math.sqrt(max(1, kept.num_seen))  # what a mean of so many may be off
+    if kept.stratified or kept.num_seen < KEPT_LEAST or abs(kept.front) <= max(KEPT_SHORT, chance):
+        return None
+    return Suggestion(
+        f"the front of the kept points is {percent(abs(kept.front))} {'short of' if kept.front < 0 else 'beyond'} that "
+        "of all points of their runs, and so will be a simulator that repeats them; draw the points instead.",
+        "+data.sampling=stratified",
+    )
+
+
 def _memory(advice: Advice) -> Suggestion | None:
     size, training = advice.survey.sizes.bytes, advice.training
     fits = size < IN_MEMORY * advice.memory
@@ -256,6 +272,7 @@ RULES: tuple[Rule, ...] = (
     _impacts,
     _rest,
     _density_change,
+    _kept,
     _memory,
     _passes,
     _validation,
