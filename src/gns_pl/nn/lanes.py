@@ -17,10 +17,10 @@ from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.extending import intrinsic, overload, register_model
 
-LANES = 32
+LANES = 16
 """Numbers of a value; widths are padded to a multiple of it."""
 
-ROWS = 8
+ROWS = 12 if binding.get_host_cpu_features().get("avx512f") else 6
 """Rows of a tile: its sums, one value each, fill the vector registers (32 of 16 numbers, or 16 of 8), but for a few."""
 
 STRIDE = 64
@@ -147,7 +147,7 @@ def _overload_multiply(a, b):
 def add_product(typing_context, into, tile, column, weight, begin, width, depth):
     """Add to sixteen columns of a tile the product of another one with sixteen columns of a matrix.
 
-    into[r, column + c] += Σ_k tile[r, k] weight[begin + k · width + column + c], for r < `ROWS`, c < `LANES`, k < depth.
+    into[r, column + c] += Σ_k tile[r, k] weight[begin + k · width + column + c]; r < `ROWS`, c < `LANES`, k < depth.
     """
 
     def generate(context, builder, signature, arguments):

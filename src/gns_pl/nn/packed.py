@@ -21,6 +21,13 @@ from gns_pl.nn.sorted_edges import SortedEdges
 from gns_pl.nn.stack import LayerStack
 
 
+ROOM = 1.125
+"""A pass takes so many times the memory of its states, so that one with some more edges can use it again."""
+
+SPARE_BYTES = 2**25
+"""Memory of a pass that is kept for the next one."""
+
+
 def padded_width(width: int) -> int:
     """Return the numbers that a state of a width takes."""
     return -(-width // LANES) * LANES
@@ -149,10 +156,11 @@ class PackedNetwork:
             if exchange is not None and not last:
                 exchange(torch.from_numpy(states)[:number, : self.width])
                 edges.share(hand, lambda part, following=layer + 1: [following])
-        self._spare.append(memory)
+        if memory.nbytes <= SPARE_BYTES:
+            self._spare.append(memory)
         return output
 
     def _memory(self, rows: int) -> Array:
         """Return rows of states, those of an earlier pass if these are enough: new memory costs time to touch."""
         memory = self._spare.pop() if self._spare else np.zeros((0, self.padded), np.float32)
-        return memory if len(memory) >= rows else np.zeros((rows + rows // 8, self.padded), np.float32)
+        return memory if len(memory) >= rows else np.zeros((int(ROOM * rows), self.padded), np.float32)
