@@ -20,7 +20,6 @@ from gns_pl.nn.passes import Array, Weights, decode, encode_nodes, hand_on, pass
 from gns_pl.nn.sorted_edges import SortedEdges
 from gns_pl.nn.stack import LayerStack
 
-
 ROOM = 1.125
 """A pass takes so many times the memory of its states, so that one with some more edges can use it again."""
 
