@@ -19,6 +19,7 @@ def test_blocks_change_nothing(
 ) -> None:
     """Whatever the size of a block; one node's edges may be more than that."""
     monkeypatch.setattr("gns_pl.nn.blocks.BLOCK_BYTES", block)
+    monkeypatch.setattr("gns_pl.nn.encode_process_decode.can_pack", lambda network: False)
     graph, network = make_graph(edges=edges), make_network(num_mlp_layers, **kind)
     expected = network(*graph)
     for without in (torch.no_grad, torch.inference_mode):
@@ -28,7 +29,10 @@ def test_blocks_change_nothing(
         torch.testing.assert_close(got, expected.detach(), atol=1e-5, rtol=1e-5)
 
 
-def test_what_is_not_finite_stays_so() -> None:
+@pytest.mark.parametrize("packs", [True, False])
+def test_what_is_not_finite_stays_so(packs: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not packs:
+        monkeypatch.setattr("gns_pl.nn.encode_process_decode.can_pack", lambda network: False)
     node, edge, edge_index = make_graph()
     edge[5] = torch.nan
     with torch.no_grad():

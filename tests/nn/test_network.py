@@ -197,6 +197,8 @@ def test_nodes_are_exchanged_between_layers_and_what_comes_is_used(steps: int, g
         torch.testing.assert_close(network(node, edge, edge_index).detach(), alone)
         assert seen == [len(node)] * (steps - 1)
     with torch.no_grad():
+        network.exchange = None
+        alone = network(node, edge, edge_index)
         network.exchange = lambda states: states.zero_()
         assert torch.equal(network(node, edge, edge_index), alone) == (steps == 1)
 

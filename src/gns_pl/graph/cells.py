@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -23,72 +22,133 @@ def neighbours(position: NDArray[np.floating], first: NDArray[np.int64], radius:
     """Return all pairs of one graph closer than `radius`, both ways.
 
     Args:
-        position: [N, D] [m], finite, particles of a graph one behind the other.
+        position: [N, D] [m], finite, particles of a graph one behind the other; D up to 3.
         first: first particle of every graph, and N at the end [B + 1].
         radius: connectivity radius [m].
 
     Returns:
         Senders and receivers [2, E], sorted by receiver, then by sender.
     """
-    start = np.zeros(len(position) + 1, dtype=np.int64)
-    sorted_graphs = [_sort(position[a:b], radius) for a, b in itertools.pairwise(first) if b > a]
-    offsets = [int(a) for a, b in itertools.pairwise(first) if b > a]
-    squared = position.dtype.type(radius**2)
-    for cells, offset in zip(sorted_graphs, offsets, strict=True):
-        _count(cells, squared, offset, start)
-    np.cumsum(start, out=start)
-    edge_index = np.empty((2, start[-1]), dtype=np.int64)
-    for cells, offset in zip(sorted_graphs, offsets, strict=True):
-        _list(cells, squared, offset, start, *edge_index)
-    return edge_index
-
-
-def _sort(position: NDArray[np.floating], radius: float) -> Any:
-    """Return positions and numbers of the particles by cell, the cell of each [N, D], and the first of every cell."""
-    number, dim = position.shape
-    low, high = position.min(axis=0).astype(np.float64), position.max(axis=0).astype(np.float64)
-    reach = radius * (1 + 1e-5)  # rounding never loses a pair
-    # Never more cells than a few per particle, however far an explosion throws them.
-    most = max(1, math.ceil((8 * number) ** (1 / dim)))
-    shape = np.clip((high - low) / reach, 1, most).astype(np.int64)
-    return _into_cells(position, low, np.maximum((high - low) / shape, reach), shape)
+    return cast(NDArray[np.int64], _neighbours(position, first, radius, position.dtype.type(radius**2)))
 
 
 @_compiled
-def _into_cells(position: Any, low: Any, edge: Any, shape: Any) -> Any:
-    number, dim = position.shape
-    cell = np.empty((number, dim), np.int64)
-    key = np.zeros(number, np.int64)
-    begin = np.zeros(shape.prod() + 1, np.int64)
+def _cells(position: Any, begin: int, end: int, radius: float) -> Any:
+    """Sort the particles begin … end of a graph into cells.
+
+    Returns:
+        Their cells [n, 3], of which the first axes are 0 in fewer dimensions; their numbers by cell [n]; coordinates in
+        that order, axis by axis [3, n]; the place of every cell's first; the numbers of cells of the axes.
+    """
+    number, dim = end - begin, position.shape[1]
+    reach = radius * (1 + 1e-5)  # rounding never loses a pair
+    # Never more cells than a few per particle, however far an explosion throws them.
+    most = max(1, math.ceil((8 * number) ** (1 / dim)))
+    shape, low, edge = np.ones(3, np.int64), np.zeros(3), np.ones(3)
+    for axis in range(dim):
+        place = 3 - dim + axis
+        least = highest = position[begin, axis]
+        for i in range(begin, end):
+            least, highest = min(least, position[i, axis]), max(highest, position[i, axis])
+        low[place], extent = np.float64(least), np.float64(highest) - np.float64(least)
+        shape[place] = np.int64(min(max(extent / reach, 1.0), most))
+        edge[place] = max(extent / shape[place], reach)
+    cell, key = np.zeros((number, 3), np.int64), np.zeros(number, np.int64)
+    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
     for i in range(number):
         for axis in range(dim):
-            cell[i, axis] = min(np.int64((position[i, axis] - low[axis]) / edge[axis]), shape[axis] - 1)
-            key[i] = key[i] * shape[axis] + cell[i, axis]
-        begin[key[i] + 1] += 1
-    begin = begin.cumsum()
-    place = begin.copy()
-    order, sorted_position = np.empty(number, np.int64), np.empty_like(position)
+            place = 3 - dim + axis
+            cell[i, place] = min(np.int64((position[begin + i, axis] - low[place]) / edge[place]), shape[place] - 1)
+        key[i] = (cell[i, 0] * shape[1] + cell[i, 1]) * shape[2] + cell[i, 2]
+        starts[key[i] + 1] += 1
+    for k in range(1, len(starts)):
+        starts[k] += starts[k - 1]
+    following, order = starts.copy(), np.empty(number, np.int32)
+    ordered = np.zeros((3, number), position.dtype)
     for i in range(number):
-        order[place[key[i]]] = i
+        place = following[key[i]]
+        following[key[i]] += 1
+        order[place] = begin + i
         for axis in range(dim):
-            sorted_position[place[key[i]], axis] = position[i, axis]
-        place[key[i]] += 1
-    return position, sorted_position, order, cell, begin, shape
+            ordered[3 - dim + axis, place] = position[begin + i, axis]
+    return cell, order, ordered, starts, shape
 
 
-@_inlined
-def _run(cell: Any, i: int, shape: Any, column: int) -> tuple[int, int]:
-    """Return the first and last cell of a run of three along the last axis, in one of the 3^(D−1) columns around."""
-    dim = len(shape)
-    key = np.int64(0)
-    for axis in range(dim - 1):
-        beside = cell[i, axis] + column % 3 - 1
-        column //= 3
-        if not 0 <= beside < shape[axis]:
-            return 0, -1
-        key = key * shape[axis] + beside
-    key *= shape[dim - 1]
-    return key + max(cell[i, dim - 1] - 1, 0), key + min(cell[i, dim - 1] + 1, shape[dim - 1] - 1)
+@_compiled
+def _list(position: Any, begin: int, end: int, radius: float, squared: Any, sender: Any, count: int, start: Any) -> Any:
+    """List the neighbours of the particles of a graph, senders ascending; return the senders, and how many there are.
+
+    Args:
+        position: [N, D] [m].
+        begin: the graph's first particle.
+        end: the one behind its last.
+        radius: connectivity radius [m].
+        squared: its square, in the positions' precision.
+        sender: those of earlier graphs, and room.
+        count: how many these are.
+        start: where every particle's senders begin [N + 1]; filled in.
+    """
+    cell, order, ordered, starts, shape = _cells(position, begin, end, radius)
+    dim, number = position.shape[1], end - begin
+    x, y, z, square = ordered[0], ordered[1], ordered[2], np.empty(number, position.dtype)
+    here = np.zeros(3, position.dtype)
+    for i in range(begin, end):
+        into = count
+        for axis in range(dim):
+            here[3 - dim + axis] = position[i, axis]
+        a, b, c = here[0], here[1], here[2]
+        u, v, w = cell[i - begin, 0], cell[i - begin, 1], cell[i - begin, 2]
+        bottom, top = max(w - 1, 0), min(w + 1, shape[2] - 1)
+        for m in range(max(u - 1, 0), min(u + 2, shape[0])):
+            for n in range(max(v - 1, 0), min(v + 2, shape[1])):
+                column = (m * shape[1] + n) * shape[2]
+                low, high = starts[column + bottom], starts[column + top + 1]  # three cells are one run of particles
+                if count + high - low > len(sender):
+                    # As many as there will be if the others have as many neighbours, and a fifth.
+                    expected = np.int64(1.2 * count / (i + 1) * len(position))
+                    more = np.empty(expected + len(position) + high - low, np.int32)
+                    more[:count] = sender[:count]
+                    sender = more
+                for place in range(low, high):
+                    p, q, r = a - x[place], b - y[place], c - z[place]
+                    square[place - low] = p * p + q * q + r * r
+                for place in range(low, high):
+                    sender[count] = order[place]
+                    count += (square[place - low] < squared) & (order[place] != i)
+        for slot in range(into + 1, count):
+            j, before = sender[slot], slot
+            while before > into and sender[before - 1] > j:
+                sender[before] = sender[before - 1]
+                before -= 1
+            sender[before] = j
+        start[i + 1] = count
+    return sender, count
+
+
+@_compiled
+def _neighbours(position: Any, first: Any, radius: float, squared: Any) -> Any:
+    number = len(position)
+    # Numbers of particles take four bytes until the edges are counted: fewer than 2³¹ fit into any memory.
+    sender, count, start = np.empty(20 * number + 1, np.int32), 0, np.zeros(number + 1, np.int64)
+    for graph in range(len(first) - 1):
+        if first[graph + 1] > first[graph]:
+            sender, count = _list(position, first[graph], first[graph + 1], radius, squared, sender, count, start)
+    edge_index = np.empty((2, count), np.int64)
+    edge_index[0] = sender[:count]
+    for i in range(number):
+        for slot in range(start[i], start[i + 1]):
+            edge_index[1, slot] = i
+    return edge_index
+
+
+@_compiled
+def all_finite(values: Any) -> bool:
+    """Return whether all numbers of an array [N, D] are finite."""
+    for i in range(values.shape[0]):
+        for axis in range(values.shape[1]):
+            if not np.isfinite(values[i, axis]):
+                return False
+    return True
 
 
 @_inlined
@@ -100,40 +160,6 @@ def _squared_distance(a: Any, i: int, b: Any, j: int) -> Any:
         along = a[i, axis] - b[j, axis]
         total += along * along
     return total
-
-
-@_compiled
-def _count(cells: Any, squared: Any, offset: int, start: Any) -> None:
-    """Put the number of neighbours of particle `offset` + i into start[`offset` + i + 1]."""
-    position, sorted_position, _, cell, begin, shape = cells
-    for i in range(len(position)):
-        count = -1  # itself
-        for column in range(3 ** (len(shape) - 1)):
-            low, high = _run(cell, i, shape, column)
-            for place in range(begin[low], begin[high + 1]):
-                count += _squared_distance(position, i, sorted_position, place) < squared
-        start[offset + i + 1] = count
-
-
-@_compiled
-def _list(cells: Any, squared: Any, offset: int, start: Any, sender: Any, receiver: Any) -> None:
-    """List the neighbours of every particle from its place in `start` on, senders ascending."""
-    position, sorted_position, order, cell, begin, shape = cells
-    for i in range(len(order)):
-        into = start[offset + i]
-        slot = into
-        for column in range(3 ** (len(shape) - 1)):
-            low, high = _run(cell, i, shape, column)
-            for place in range(begin[low], begin[high + 1]):
-                j = order[place]
-                if j != i and _squared_distance(position, i, sorted_position, place) < squared:
-                    receiver[slot] = offset + i
-                    before = slot
-                    while before > into and sender[before - 1] > offset + j:
-                        sender[before] = sender[before - 1]
-                        before -= 1
-                    sender[before] = offset + j
-                    slot += 1
 
 
 @_compiled

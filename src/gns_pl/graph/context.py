@@ -94,7 +94,7 @@ def grid_shape(cells: Sequence[float]) -> tuple[int, ...]:
     return tuple(int(cell) + 1 for cell in cells)
 
 
-def context_bytes(nodes: int, boxes: int, num_particles: int, dim: int) -> int:
+def context_bytes(nodes: int, boxes: int, num_particles: int, dim: int, *, compiled: bool) -> int:
     """Return the most bytes that `context_fields` holds at once in float32, and the grid itself.
 
     Args:
@@ -102,7 +102,10 @@ def context_bytes(nodes: int, boxes: int, num_particles: int, dim: int) -> int:
         boxes: B.
         num_particles: N, of all boxes.
         dim: D.
+        compiled: by the loops of `graph.feature_loops`, on a CPU; only where the nodes of a box are few.
     """
+    if compiled and nodes <= DENSE_NODES:
+        return num_particles * (12 * (1 << dim) + 4 * (dim + 4)) + 4 * (dim + 5) * boxes * nodes
     corners = (1 << dim) * num_particles * (8 + 4 * (2 + dim) + 8 * (dim + 3))
     if nodes <= DENSE_NODES:
         return corners + DENSE_BYTES[dim] * boxes * nodes

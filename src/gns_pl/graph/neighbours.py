@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
-from gns_pl.graph.cells import neighbours
+from gns_pl.graph.cells import all_finite, neighbours
 
 _MARGIN = 1.0 + 1e-5
 """Candidates are searched a little beyond the radius, so that rounding never loses a pair to the filter."""
@@ -45,14 +45,15 @@ def radius_graph(
         backend = "cell_list" if position.device.type == "cuda" else NUMBA
     if backend not in (NUMBA, *BACKENDS):
         raise InputError(f"unknown neighbour backend {backend!r}; known are auto, {NUMBA}, {', '.join(BACKENDS)}.")
-    if not bool(torch.isfinite(position).all()):
-        raise InputError("a radius graph needs finite positions.")
     detached = position.detach()
-    if backend == NUMBA:
-        counts = torch.bincount(batch, minlength=num_graphs).cpu().numpy() if batch is not None else [len(position)]
-        first = np.concatenate([[0], np.cumsum(counts)])
-        edge_index = neighbours(detached.cpu().contiguous().numpy(), first, radius)
-        return torch.from_numpy(edge_index).to(position.device)
+    values = detached.cpu().contiguous().numpy() if backend == NUMBA else None
+    if not (all_finite(values) if values is not None else bool(torch.isfinite(position).all())):
+        raise InputError("a radius graph needs finite positions.")
+    if values is not None:
+        first = np.array([0, len(position)])
+        if batch is not None and num_graphs > 1:
+            first = np.concatenate([[0], np.cumsum(torch.bincount(batch, minlength=num_graphs).cpu().numpy())])
+        return torch.from_numpy(neighbours(values, first, radius)).to(position.device)
     if batch is None or num_graphs == 1:
         return _single(detached, radius, backend)
     counts = torch.bincount(batch, minlength=num_graphs).tolist()

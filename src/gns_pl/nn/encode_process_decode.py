@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from gns_pl.nn.blocks import process_in_blocks
 from gns_pl.nn.interaction_network import InteractionNetwork
 from gns_pl.nn.mlp import mlp
+from gns_pl.nn.packed import PackedNetwork, can_pack
 from gns_pl.nn.sorted_edges import SortedEdges
 from gns_pl.nn.stack import LayerStack
 
@@ -68,6 +69,8 @@ class EncodeProcessDecode(LayerStack):
         self.compiled_edges = True
         self._fused_key: tuple[object, ...] = ()
         self._fused_network: Callable[[Tensor, Tensor, Tensor], Tensor]
+        self._packed_key: tuple[object, ...] = ()
+        self._packed_network: PackedNetwork | None = None
 
     def forward(self, node: Tensor, edge: Tensor, edge_index: Tensor) -> Tensor:
         """Return the decoded nodes [N, output_width].
@@ -84,6 +87,9 @@ class EncodeProcessDecode(LayerStack):
         able = able and not (plain or torch.is_autocast_enabled("cpu"))
         sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
         if sorted_edges is not None and not torch.is_grad_enabled():
+            packed = self._packed()
+            if packed is not None:
+                return packed(node, edge, sorted_edges, self.exchange)
             return process_in_blocks(self, node, edge, sorted_edges)
         node, edge = self.node_encoder(node), self.edge_encoder(edge)
         for layer in self.processor:
@@ -111,11 +117,29 @@ class EncodeProcessDecode(LayerStack):
         precision = "float32" if torch.get_float32_matmul_precision() == "highest" else "tf32"
         if torch.is_autocast_enabled("cuda"):
             precision = "bfloat16"
-        weights = ((each.data_ptr(), 0 if each.is_inference() else each._version) for each in self.parameters())
-        key = (id(self), precision, *weights)
+        key = self._state_key(precision)
         if key != self._fused_key:
             self._fused_key, self._fused_network = key, FusedNetwork(self, precision)
         return self._fused_network
+
+    def _packed(self) -> PackedNetwork | None:
+        """Return the forward pass in compiled loops, for the weights as they are; None where there is none."""
+        key = self._state_key(str(self.static_edges))
+        if key != self._packed_key:
+            self._packed_key, self._packed_network = key, PackedNetwork(self) if can_pack(self) else None
+        return self._packed_network
+
+    def _state_key(self, setting: str) -> tuple[object, ...]:
+        """Return what changes when the weights do, or are another network's."""
+        key: list[object] = [id(self), setting]
+        modules: list[nn.Module] = [self]
+        while modules:  # `parameters()` makes names besides, and takes ten times as long
+            module = modules.pop()
+            modules.extend(filter(None, module._modules.values()))
+            for weight in module._parameters.values():
+                if weight is not None:
+                    key += [weight.data_ptr(), 0 if weight.is_inference() else weight._version]
+        return tuple(key)
 
 
 @functools.cache

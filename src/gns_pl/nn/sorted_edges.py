@@ -13,8 +13,24 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from gns_pl.machine import compile_function
+
 LEAST_EDGES = 4000
 """A further thread is not worth its start for fewer edges."""
+
+
+@compile_function
+def _find_starts(receiver: Any, start: Any) -> bool:
+    """Fill in the first edge of every receiver, and tell whether edges are sorted by receiver."""
+    following = 0
+    for e in range(len(receiver)):
+        if e and receiver[e] < receiver[e - 1]:
+            return False
+        while following <= receiver[e]:
+            start[following] = e
+            following += 1
+    start[following:] = len(receiver)
+    return True
 
 
 @dataclass(frozen=True)
@@ -40,9 +56,9 @@ class SortedEdges:
             num_nodes: N.
         """
         sender, receiver = edge_index
-        if bool((receiver[1:] < receiver[:-1]).any()):
+        start = torch.empty(num_nodes + 1, dtype=torch.int64)
+        if not _find_starts(receiver.contiguous().numpy(), start.numpy()):
             return None
-        start = torch.searchsorted(receiver.contiguous(), torch.arange(num_nodes + 1))
         threads = max(1, min(torch.get_num_threads(), len(sender) // LEAST_EDGES))
         inner = torch.searchsorted(start, torch.arange(1, threads) * (len(sender) // threads)).tolist()
         return cls(sender.contiguous(), start, tuple(itertools.pairwise([0, *inner, num_nodes])))

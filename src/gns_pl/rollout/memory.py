@@ -11,6 +11,7 @@ from gns_pl.graph import context_bytes, radius_graph
 from gns_pl.machine import free_memory
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.nn import network_class
+from gns_pl.nn.packed import ROOM, padded_width
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.rollout.stepper import Stepper
 
@@ -34,20 +35,20 @@ def estimate_bytes(
         config: of the simulator.
         num_particles: N.
         num_edges: E.
-        in_blocks: on the CPU in float32, where messages go through `nn.blocks`; else every layer keeps E × L numbers
-            several times.
+        in_blocks: on the CPU in float32, where messages go through `nn.packed` or `nn.blocks`; else every layer keeps
+            E × L numbers several times.
         nodes: of the context's grid over one box, where the simulator has a context.
         boxes: scenes that are stepped together.
         share: of edges and states that this memory holds; the context's grid is in every process.
     """
     dim, width = config.dim, config.latent_size
     node = 4 * num_particles * (config.input_sequence_length * dim * 3 + 12)
-    context = context_bytes(nodes, boxes, num_particles, dim) if config.context else 0
+    context = context_bytes(nodes, boxes, num_particles, dim, compiled=in_blocks) if config.context else 0
     features = num_edges * (16 + 4 * (dim + 1))
     making_features = features + 4 * num_edges * (3 * dim + 1)
     layers = config.num_message_passing_steps
     if in_blocks:
-        states = 4 * width * (num_edges * (layers > 1) + 4 * num_particles)
+        states = 4 * ROOM * padded_width(width) * (num_edges * (layers > 1) + 4 * num_particles)
     else:
         states = 4 * width * (6 * num_edges + 8 * num_particles)
     searched = context + share * num_edges * 16

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, radius_graph
+from gns_pl.rollout.loops import compiles, is_moving, passed, spread
 from gns_pl.rollout.stepper import Stepper, opened
 
 REST_STEPS = 5
@@ -81,8 +82,7 @@ class SleepingStepper:
     def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         step, config = self.speed * self.config.dt, self.config
-        slow = history[:, -REST_STEPS - 1 :].diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
-        self._moving = ~slow.all(dim=1) if history.shape[1] > REST_STEPS else torch.ones_like(slow[:, 0])
+        self._moving = _moving(history, step)
         recent = history[:, -self._stepper.history_length :]
         if self._open is None:
             self._find(recent[:, -1], config.connectivity_radius, scenes.batch, num_graphs=scenes.num_graphs)
@@ -92,6 +92,10 @@ class SleepingStepper:
     def _find(self, *arguments: object, **settings: object) -> Tensor:
         """Search neighbours, and find out who sleeps."""
         edge_index: Tensor = self._search(*arguments, **settings)  # type: ignore[arg-type]
+        if edge_index.device.type == "cpu":
+            awake, reached = spread(edge_index.numpy(), self._moving.numpy())
+            self.awake, self._reached = torch.from_numpy(awake), torch.from_numpy(reached)
+            return edge_index
         sender, receiver = edge_index
         self.awake = self._moving.index_fill(0, receiver[self._moving[sender]], True)
         # Messages are passed one radius around what is awake: exact for two layers (docs/reductions.md).
@@ -103,11 +107,26 @@ class SleepingStepper:
         reached = self._reached
         if bool(reached.all()):
             return self._network(node, edge, edge_index)
-        passed = reached[edge_index[1]]
-        edge_index, edge = edge_index[:, passed], edge[passed]
+        if compiles(node, edge) and not torch.is_grad_enabled():
+            edges, features, visible = map(torch.from_numpy, passed(edge_index.numpy(), edge.numpy(), reached.numpy()))
+            output = self._network(node[visible], features, edges)
+            return output.new_zeros(len(node), output.shape[1]).index_copy_(0, visible, output)
+        received = reached[edge_index[1]]
+        edge_index, edge = edge_index[:, received], edge[received]
         visible = reached.index_fill(0, edge_index[0], True)
         number = visible.cumsum(0) - 1
         output = self._network(node[visible], edge, number[edge_index])
         whole = output.new_zeros(len(node), output.shape[1])
         whole[visible] = output
         return whole
+
+
+def _moving(history: Tensor, step: float) -> Tensor:
+    """Return which particles made one of the latest `REST_STEPS` steps at `step` [m] or more, or one unknown [N]."""
+    if history.shape[1] <= REST_STEPS:
+        return torch.ones(len(history), dtype=torch.bool, device=history.device)
+    recent = history[:, -REST_STEPS - 1 :]
+    if compiles(recent):
+        return torch.from_numpy(is_moving(recent.numpy(), step))
+    slow = recent.diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
+    return ~slow.all(dim=1)

@@ -9,11 +9,13 @@ step before it (straight-through, Bengio et al. 2013), velocities that were scal
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, radius_graph
+from gns_pl.rollout.loops import compiles, energies, moved_apart
 from gns_pl.rollout.rest import SleepingStepper
 from gns_pl.rollout.stepper import Stepper
 
@@ -87,9 +89,15 @@ class StableStepper:
         if not bool(torch.isfinite(position).all()):
             return position
         for _ in range(SWEEPS):
-            sender, receiver = radius_graph(position, least, scenes.batch, num_graphs=scenes.num_graphs)
+            pairs = radius_graph(position, least, scenes.batch, num_graphs=scenes.num_graphs)
+            sender, receiver = pairs
             if len(sender) == 0:
                 break
+            if compiles(position, scenes.lower):
+                boxes = (scenes.batch.numpy(), scenes.lower.numpy(), scenes.upper.numpy())
+                moved = moved_apart(position.contiguous().numpy(), pairs.numpy(), np.float32(least), *boxes)
+                position = torch.from_numpy(moved)
+                continue
             away = position[receiver] - position[sender]
             distance = away.norm(dim=1, keepdim=True)
             aside = torch.zeros_like(away)  # for two in one place: the one of the higher number goes up
@@ -106,23 +114,38 @@ class StableStepper:
         fall keeps. Particles weigh what they fill, exact for one density; a halt is what is left where no s does. Where
         kinematic particles move they do work, and nothing is scaled.
         """
-        dt, before, earlier = self.config.dt, history[:, -1], history[:, -2]
-        gravity, weight = scenes.of_particles(scenes.gravity), scenes.volume
-        lowest = scenes.of_particles(torch.where(scenes.gravity > 0, scenes.upper, scenes.lower))
-        velocity, past = (position - before) / dt, (before - earlier) / dt
-        quadratic = self._sum(weight, velocity.square().sum(1) / 2, scenes)
-        linear = -self._sum(weight, (gravity * velocity).sum(1) * dt / 2, scenes)
-        height = self._sum(weight, ((lowest - before) * gravity).sum(1), scenes)
-        there = self._sum(weight, past.square().sum(1) / 2 + (gravity * past).sum(1) * dt / 2, scenes) + height
+        before, earlier = history[:, -1], history[:, -2]
+        frames = (earlier, before, position)
+        quadratic, linear, height, past, pushed = self._energies(frames, scenes).unbind(1)
+        there = past + height
         allowed = there * (1 + ROUNDING) - height
         root = (linear.square() + 4 * quadratic * allowed).clamp_min(0).sqrt()
         factor = ((root - linear) / (2 * quadratic).clamp_min(1e-30)).clamp(0, 1)
-        pushed = self._sum(weight, past.square().sum(1) * ~scenes.moved, scenes) > 0
-        factor = torch.where(pushed | (quadratic + linear <= allowed), 1.0, factor)
+        factor = torch.where((pushed > 0) | (quadratic + linear <= allowed), 1.0, factor)
         return scenes.of_particles(factor[:, None])
 
-    @staticmethod
-    def _sum(weight: Tensor, value: Tensor, scenes: SceneBatch) -> Tensor:
-        """Return the sum of a quantity over the particles of every scene [B], in double precision."""
-        total = torch.zeros(scenes.num_graphs, dtype=torch.float64, device=value.device)
-        return total.index_add_(0, scenes.batch, (weight * value).double())
+    def _energies(self, frames: tuple[Tensor, Tensor, Tensor], scenes: SceneBatch) -> Tensor:
+        """Return of every scene, in double precision, what `loops.energies` says [B, 5].
+
+        Args:
+            frames: positions two steps ago, one step ago and now, each [N, D] [m].
+            scenes: those that are stepped.
+        """
+        dt, volume, gravity = self.config.dt, scenes.volume, scenes.gravity
+        lowest = torch.where(gravity > 0, scenes.upper, scenes.lower)
+        if compiles(*frames, volume, gravity):
+            arrays = (*frames, volume, scenes.moved, scenes.batch, gravity, lowest)
+            return torch.from_numpy(energies(*(tensor.numpy() for tensor in arrays), dt))
+        earlier, before, position = frames
+        gravity, lowest = scenes.of_particles(gravity), scenes.of_particles(lowest)
+        velocity, past = (position - before) / dt, (before - earlier) / dt
+        motion = past.square().sum(1)
+        values = [
+            velocity.square().sum(1) / 2,
+            -(gravity * velocity).sum(1) * dt / 2,
+            ((lowest - before) * gravity).sum(1),
+            motion / 2 + (gravity * past).sum(1) * dt / 2,
+            motion * ~scenes.moved,
+        ]
+        weighed = (volume[:, None] * torch.stack(values, dim=1)).double()
+        return weighed.new_zeros(scenes.num_graphs, len(values)).index_add_(0, scenes.batch, weighed)

@@ -1,0 +1,155 @@
+"""What `rollout.stabilise` and `rollout.rest` do to particles one by one, as compiled loops for the CPU.
+
+Of a thousand particles the small torch operations for it take as long as the network does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gns_pl.machine import compile_function
+
+
+def compiles(*tensors: Tensor) -> bool:
+    """Return whether the loops take tensors: float32, on the CPU."""
+    return all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
+
+
+@compile_function
+def moved_apart(position: Any, edge_index: Any, least: Any, batch: Any, lower: Any, upper: Any) -> Any:
+    """Return positions where the particles of every pair have moved apart by half of what it lacks, each [N, D] [m].
+
+    Args:
+        position: [N, D] [m].
+        edge_index: pairs nearer than `least`, both ways [2, E].
+        least: distance that is wanted [m].
+        batch: box of every particle [N].
+        lower: corner of every box [B, D] [m].
+        upper: likewise.
+    """
+    number, dim = position.shape
+    half, tiny = np.float32(0.5), np.float32(1e-6) * least
+    shift = np.zeros_like(position)
+    for e in range(edge_index.shape[1]):
+        j, i = edge_index[0, e], edge_index[1, e]
+        square = np.float32(0)
+        for axis in range(dim):
+            along = position[i, axis] - position[j, axis]
+            square += along * along
+        distance = np.sqrt(square)
+        if distance > tiny:
+            for axis in range(dim):
+                along = (position[i, axis] - position[j, axis]) / distance
+                shift[i, axis] += half * (least - distance) * along
+        else:  # two in one place: the one of the higher number goes up
+            shift[i, dim - 1] += half * (least - distance) * (1 if i > j else -1)
+    for i in range(number):
+        for axis in range(dim):
+            place = position[i, axis] + shift[i, axis]
+            shift[i, axis] = min(max(place, lower[batch[i], axis]), upper[batch[i], axis])
+    return shift
+
+
+@compile_function
+def energies(
+    earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any, gravity: Any, lowest: Any, dt: float
+) -> Any:
+    """Return of every scene what `StableStepper` weighs a step's energy by [B, 5].
+
+    Args:
+        earlier: positions before the step before [N, D] [m].
+        before: before the step.
+        position: behind it.
+        volume: weights [N].
+        moved: particles that a simulator moves [N] bool.
+        batch: scene of every particle [N].
+        gravity: [B, D] [m/s²].
+        lowest: corner of every box from which heights count [B, D] [m].
+        dt: time of the step [s].
+
+    Returns:
+        Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it;
+        motion and height of the step before; motion of what a script moves.
+    """
+    sums = np.zeros((len(gravity), 5))
+    for i in range(len(position)):
+        box = batch[i]
+        quadratic, linear, height, kinetic, risen = 0.0, 0.0, 0.0, 0.0, 0.0
+        for axis in range(position.shape[1]):
+            pull = np.float64(gravity[box, axis])
+            velocity = np.float64(position[i, axis] - before[i, axis]) / dt
+            past = np.float64(before[i, axis] - earlier[i, axis]) / dt
+            quadratic += velocity * velocity / 2
+            linear -= pull * velocity * dt / 2
+            height += (lowest[box, axis] - before[i, axis]) * pull
+            kinetic += past * past / 2
+            risen += pull * past * dt / 2
+        sums[box, 0] += volume[i] * quadratic
+        sums[box, 1] += volume[i] * linear
+        sums[box, 2] += volume[i] * height
+        sums[box, 3] += volume[i] * (kinetic + risen)
+        sums[box, 4] += 0.0 if moved[i] else volume[i] * 2 * kinetic
+    return sums
+
+
+@compile_function
+def is_moving(history: Any, step: float) -> Any:
+    """Return which particles made a step of `step` or longer, or one that is NaN, in a history [N, H, D]: [N] bool."""
+    number, length, dim = history.shape
+    moving = np.zeros(number, np.bool_)
+    for i in range(number):
+        for frame in range(1, length):
+            square = np.float32(0)
+            for axis in range(dim):
+                along = history[i, frame, axis] - history[i, frame - 1, axis]
+                square += along * along
+            if not square < np.float32(step * step):
+                moving[i] = True
+    return moving
+
+
+@compile_function
+def spread(edge_index: Any, moving: Any) -> Any:
+    """Return which particles move or have a neighbour that does, and these with all who send to them, each [N] bool."""
+    awake = moving.copy()
+    for e in range(edge_index.shape[1]):
+        if moving[edge_index[0, e]]:
+            awake[edge_index[1, e]] = True
+    reached = awake.copy()
+    for e in range(edge_index.shape[1]):
+        if awake[edge_index[1, e]]:
+            reached[edge_index[0, e]] = True
+    return awake, reached
+
+
+@compile_function
+def passed(edge_index: Any, edge: Any, reached: Any) -> Any:
+    """Return the edges to particles that are reached, with their features, and all nodes that these edges need.
+
+    Args:
+        edge_index: [2, E].
+        edge: [E, F].
+        reached: [N] bool.
+
+    Returns:
+        Edges between the nodes' places [2, e], their features [e, F], and the nodes, ascending [n].
+    """
+    visible, count = reached.copy(), 0
+    for e in range(edge_index.shape[1]):
+        if reached[edge_index[1, e]]:
+            visible[edge_index[0, e]] = True
+            count += 1
+    place, nodes = np.cumsum(visible) - 1, np.nonzero(visible)[0]
+    kept, features = np.empty((2, count), np.int64), np.empty((count, edge.shape[1]), edge.dtype)
+    slot = 0
+    for e in range(edge_index.shape[1]):
+        if reached[edge_index[1, e]]:
+            kept[0, slot], kept[1, slot] = place[edge_index[0, e]], place[edge_index[1, e]]
+            for c in range(edge.shape[1]):
+                features[slot, c] = edge[e, c]
+            slot += 1
+    return kept, features, nodes
