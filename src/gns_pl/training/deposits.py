@@ -1,4 +1,4 @@
-"""What weights are chosen by where whole runs are trained on: final deposits from cold starts against the fine runs.
+"""What weights are chosen by where whole runs are trained on: final deposits from cold starts against fine runs.
 
 Each validation scene is filled several times, as users fill it, and the run is compared with what all points of the fine
 run did, as a chart compares solvers (`evaluation.chart`): front and map, and the mean height.

@@ -46,7 +46,7 @@ class ValidationTable:
         Relative errors of the runout are weighted by the runout they are relative to: that of a drop is a spacing or
         two, and its error would outweigh those of all columns.
 
-        Errors of the deposit become root mean squares over scenes and placements, and their worse one is `DEPOSIT_ERROR`.
+        Errors of the deposit become root mean squares over scenes and placements; the worse is `DEPOSIT_ERROR`.
 
         Rows are put together before they are summed, so the means do not depend on the number of processes.
 
