@@ -1,7 +1,7 @@
 """What weights are chosen by where whole runs are trained on: final deposits from cold starts against fine runs.
 
-Each validation scene is filled several times, as users fill it, and the run is compared with what all points of the fine
-run did, as a chart compares solvers (`evaluation.chart`): front and map, and the mean height.
+Each validation scene is filled several times, as users fill it, and the run is compared with what all points of the
+fine run did, as a chart compares solvers (`evaluation.chart`): front and map, and the mean height.
 """
 
 from __future__ import annotations
