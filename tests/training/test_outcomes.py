@@ -73,7 +73,10 @@ def test_a_run_has_no_error_against_itself_and_those_of_its_observables_against_
             np.square(volumes - wanted).sum() / np.square(wanted).sum(),
             (mine.mean_height[frame] / fine.mean_height[frame] - 1) ** 2,
             ((mine.advance()[frame, 2] - advance[frame]) / max(advance[-1], 2 * CELL)) ** 2,
-            np.diff(np.sqrt([run.kinetic_energy[frame] for run in (mine, fine)]))[0] ** 2 / fine.kinetic_energy.max(),
+            # at rest and on the way there: the second half
+            (frame >= 4)
+            * np.diff(np.sqrt([run.kinetic_energy[frame] for run in (mine, fine)]))[0] ** 2
+            / fine.kinetic_energy.max(),
         ]
     np.testing.assert_allclose(found.numpy(), expected / len(compared), rtol=2e-3, atol=1e-6)
 
