@@ -8,15 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from gns_pl.machine import compile_function
-
-
-def compiles(*tensors: Tensor) -> bool:
-    """Return whether the loops take tensors: float32, on the CPU."""
-    return all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
 
 
 @compile_function
@@ -56,11 +49,12 @@ def moved_apart(position: Any, edge_index: Any, least: Any, batch: Any, lower: A
 
 @compile_function
 def energies(
-    earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any, gravity: Any, lowest: Any, dt: float
+    dt: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any, gravity: Any, lowest: Any
 ) -> Any:
     """Return of every scene what `StableStepper` weighs a step's energy by [B, 5].
 
     Args:
+        dt: time of the step [s].
         earlier: positions before the step before [N, D] [m].
         before: before the step.
         position: behind it.
@@ -69,7 +63,6 @@ def energies(
         batch: scene of every particle [N].
         gravity: [B, D] [m/s²].
         lowest: corner of every box from which heights count [B, D] [m].
-        dt: time of the step [s].
 
     Returns:
         Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it;

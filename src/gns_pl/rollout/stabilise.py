@@ -15,7 +15,8 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, radius_graph
-from gns_pl.rollout.loops import compiles, energies, moved_apart
+from gns_pl.machine import compiles
+from gns_pl.rollout.loops import energies, moved_apart
 from gns_pl.rollout.rest import SleepingStepper
 from gns_pl.rollout.stepper import Stepper
 
@@ -134,8 +135,8 @@ class StableStepper:
         dt, volume, gravity = self.config.dt, scenes.volume, scenes.gravity
         lowest = torch.where(gravity > 0, scenes.upper, scenes.lower)
         if compiles(*frames, volume, gravity):
-            arrays = (*frames, volume, scenes.moved, scenes.batch, gravity, lowest)
-            return torch.from_numpy(energies(*(tensor.numpy() for tensor in arrays), dt))
+            tensors = (*frames, volume, scenes.moved, scenes.batch, gravity, lowest)
+            return torch.from_numpy(energies(dt, *(tensor.numpy() for tensor in tensors)))
         earlier, before, position = frames
         gravity, lowest = scenes.of_particles(gravity), scenes.of_particles(lowest)
         velocity, past = (position - before) / dt, (before - earlier) / dt
