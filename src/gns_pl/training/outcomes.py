@@ -53,8 +53,8 @@ def outcome_errors(frames: Tensor, start: Trajectory, fine: Observables, compare
     - energy: (√E − √E_f)² / max E_f in the second half of the fine run, 0 before. Of speeds: what creeps where all is
       at rest is not lost in the peak. Early, when all accelerates, displacements over different intervals are not the
       same speeds.
-    - rise: Σ max(0, E' − E'_before) / max E_f over all steps, E' the energy of motion and height in the middle of a step,
-      which free fall keeps. Runs of users are held wherever it rises (`rollout.stabilise`).
+    - rise: Σ max(0, E' − E'_before) / max E_f over all steps, E' the energy of motion and height in the middle of a
+      step, which free fall keeps. Runs of users are held wherever it rises (`rollout.stabilise`).
 
     Args:
         frames: positions of the run [T, N, D] [m], one step of the simulator apart.
