@@ -128,7 +128,7 @@ def node_features(
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
     """
-    if _compiles(velocity, position, velocity_scale, scenes.lower, scenes.volume):
+    if compiles(velocity, position, velocity_scale, scenes.lower, scenes.volume):
         motion = _compiled_motion(velocity, position, scenes, velocity_scale, radius, spacing, context)
         if motion is not None:
             return torch.cat([motion, *_kinds(scenes, particle_types, material_scale, position.dtype)], dim=1)
@@ -164,10 +164,12 @@ def _kinds(
     return parts
 
 
-def _compiles(*tensors: Tensor) -> bool:
-    """Return whether the compiled loops can make features of tensors: float32 on the CPU, and no gradient."""
-    plain = all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
-    return plain and not (torch.is_grad_enabled() or torch.compiler.is_exporting() or torch.compiler.is_compiling())
+def compiles(*tensors: Tensor) -> bool:
+    """Return whether compiled loops can take tensors: float32 on the CPU, and no gradient."""
+    if torch.is_grad_enabled() or torch.compiler.is_exporting() or torch.compiler.is_compiling():
+        return False
+    known = all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
+    return known and not any(tensor.requires_grad for tensor in tensors)
 
 
 def _compiled_motion(
@@ -216,7 +218,7 @@ def edge_features(position: Tensor, edge_index: Tensor, radius: float) -> Tensor
         edge_index: [2, E], sender and receiver.
         radius: connectivity radius R [m].
     """
-    if _compiles(position):
+    if compiles(position):
         feature = position.new_empty(edge_index.shape[1], edge_width(position.shape[1]))
         fill_edges(position.contiguous().numpy(), edge_index.numpy(), np.float32(radius), feature.numpy())
         return feature

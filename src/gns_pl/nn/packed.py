@@ -20,7 +20,6 @@ from gns_pl.nn.passes import Array, Weights, decode, encode_nodes, hand_on, pass
 from gns_pl.nn.sorted_edges import SortedEdges
 from gns_pl.nn.stack import LayerStack
 
-
 ROOM = 1.125
 """A pass takes so many times the memory of its states, so that one with some more edges can use it again."""
 
@@ -117,7 +116,7 @@ class PackedNetwork:
             exchange: as of `Network`.
         """
         number, layers, width = len(node), len(self.messages), self.padded
-        features, edge_features = node.contiguous().numpy(), edge.contiguous().numpy()
+        features, edge_features = (given.detach().contiguous().numpy() for given in (node, edge))
         keeps_state = layers > 1
         rows = 4 * (number + ROWS) + (len(edge) + ROWS) * keeps_state
         memory = self._memory(rows)
