@@ -135,8 +135,9 @@ def test_the_gradient_of_the_loss_is_its_difference(plane: Scene, stabilised: di
 
 
 def test_recomputed_steps_have_the_same_gradient(plane: Scene) -> None:
-    """Also where particles sleep, are moved apart and are slowed down, of which a step remembers something."""
-    simulator = case(plane, {})[0].float()
+    """To the last bit in double precision, in which no way there is compiled; also where particles sleep, are moved
+    apart and are slowed down, of which a step remembers something."""
+    simulator = case(plane, {})[0]
     start = make_start(plane, SPACING)
     velocity = torch.randn(start.position[0].shape, generator=torch.Generator().manual_seed(4))
     velocity[len(velocity) // 2 :] = 0.0

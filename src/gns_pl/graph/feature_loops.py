@@ -1,4 +1,4 @@
-"""Node and edge features on a CPU where nobody wants a derivative: a particle a time, as `graph.features` says them.
+"""Features on a CPU without derivatives: what `graph.features` and `graph.context` say, a particle a time.
 
 Of a thousand particles the dozens of small torch operations take ten times as long as their arithmetic.
 """

@@ -84,6 +84,9 @@ class SleepingStepper:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         step, config = self.speed * self.config.dt, self.config
         self._moving = _moving(history.detach(), step)  # nothing of it has a derivative
+        if not bool(self._moving.any()):  # then nobody wakes either
+            self.awake = self._moving
+            return history[:, -1]
         recent = history[:, -self._stepper.history_length :]
         if self._open is None:
             self._find(recent[:, -1], config.connectivity_radius, scenes.batch, num_graphs=scenes.num_graphs)
