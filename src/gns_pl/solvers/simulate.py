@@ -261,9 +261,7 @@ def _choose(
     if asked:
         option, why = options[0], f"as asked for; {_worth(options[0])}"
     else:
-        print(
-            f"{table(options, scene)}\nerrors of final front, map and mean height, and times, as measured on {machine}"
-        )
+        print(f"{table(options, scene)}\nerrors of final front, map and mean height, and times measured on {machine}")
         if tolerance is None:
             return None
         option, why = choose(options, tolerance, of)
