@@ -7,7 +7,8 @@
 Scenes are those of the chart (conf/evaluation), and columns between its two, of which no solver was measured. The
 solver is chosen as `simulate.py` chooses it, by the package's records; its run is judged as the chart judges, by the
 quantity of the tolerance, against the same references. A promise holds if the largest error of three placements is
-within the tolerance. Where no error is promised (the scene is like none that was measured), what was chosen is judged too.
+within the tolerance. Where no error is promised (the scene is like none that was measured), what was chosen is judged
+too.
 """
 
 from __future__ import annotations

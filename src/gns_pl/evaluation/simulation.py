@@ -18,7 +18,6 @@ from gns_pl.evaluation.run_report import ReportedRun, check_reporting, report_li
 from gns_pl.io import read_header, read_trajectory, read_window
 from gns_pl.metrics.maps import map_error
 from gns_pl.solvers.reduction import reduce_scene
-from gns_pl.text import override
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -98,8 +97,8 @@ def compare_with_check(path: Path, tolerance: float | None, tolerance_of: str = 
     if tolerance is not None:
         asked, error = f"the tolerance of {100 * tolerance:g} % in the {QUANTITIES[tolerance_of]}", errors[tolerance_of]
         if error > tolerance:
-            finer = override("cell_size", f"{cells[0] * max(0.25, tolerance / error):.2g}")
-            text += f", more than {asked}; run it on finer cells: solver=mpm {finer}"
+            finer = cells[0] * max(0.25, tolerance / error)
+            text += f", more than {asked}; run it on finer cells: solver=mpm cell_size={finer:.2g}"
         else:
             text += f", within {asked}"
     print(f"{text}.")
