@@ -1,4 +1,4 @@
-"""Node and edge features on a CPU without gradients: what `graph.features` and `graph.context` say, a particle a time.
+"""Features on a CPU without derivatives: what `graph.features` and `graph.context` say, a particle a time.
 
 Of a thousand particles the dozens of small torch operations take ten times as long as their arithmetic.
 """
@@ -32,7 +32,8 @@ def fill_motion_and_walls(
 ) -> int:
     """Fill in velocities [N, H − 1, D] over their scale and distances to walls; return the columns filled."""
     number, steps, dim = velocity.shape
-    walls = steps * dim
+    walls: int = steps * dim
+    columns: int = walls + 2 * dim
     one = np.float32(1)
     for i in range(number):
         box = batch[i]
@@ -44,7 +45,7 @@ def fill_motion_and_walls(
             above = (upper[box, axis] - position[i, axis]) / radius
             feature[i, walls + axis] = min(max(below, -one), one)
             feature[i, walls + dim + axis] = min(max(above, -one), one)
-    return walls + 2 * dim
+    return columns
 
 
 @compile_function

@@ -11,6 +11,7 @@ from torch import Tensor
 from gns_pl.fields import ParticleType
 from gns_pl.graph.context import ContextGrid, context_fields
 from gns_pl.graph.feature_loops import fill_context, fill_edges, fill_motion_and_walls, sum_context
+from gns_pl.machine import compiles
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def node_features(
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
     """
-    if _compiles(velocity, position, velocity_scale, scenes.lower, scenes.volume):
+    if compiles(velocity, position, velocity_scale, scenes.lower, scenes.volume):
         motion = _compiled_motion(velocity, position, scenes, velocity_scale, radius, spacing, context)
         if motion is not None:
             return torch.cat([motion, *_kinds(scenes, particle_types, material_scale, position.dtype)], dim=1)
@@ -164,12 +165,6 @@ def _kinds(
     return parts
 
 
-def _compiles(*tensors: Tensor) -> bool:
-    """Return whether the compiled loops can make features of tensors: float32 on the CPU, and no gradient."""
-    plain = all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
-    return plain and not (torch.is_grad_enabled() or torch.compiler.is_exporting() or torch.compiler.is_compiling())
-
-
 def _compiled_motion(
     velocity: Tensor,
     position: Tensor,
@@ -198,8 +193,8 @@ def _compiled_motion(
         of_grid = (grid.lower, grid.edge, grid.cells, torch.tensor(grid.shape), grid.room, grid.height)
         arrays = [tensor.contiguous().numpy() for tensor in of_grid]  # type: ignore[union-attr]
         summed = sum_context(place, np.ascontiguousarray(speeds[:, -1]), batch, volume, *arrays)
-        sizes = [np.float32(size) for size in (reach, radius, EMPTY, spacing**dim)]
-        fill_context(summed, place, lower, batch, volume, *sizes, scale, begin, columns)
+        sizes = (reach, np.float32(radius), np.float32(EMPTY), np.float32(spacing**dim), scale)
+        fill_context(summed, place, lower, batch, volume, *sizes, begin, columns)
     return feature
 
 
@@ -216,7 +211,7 @@ def edge_features(position: Tensor, edge_index: Tensor, radius: float) -> Tensor
         edge_index: [2, E], sender and receiver.
         radius: connectivity radius R [m].
     """
-    if _compiles(position):
+    if compiles(position):
         feature = position.new_empty(edge_index.shape[1], edge_width(position.shape[1]))
         fill_edges(position.contiguous().numpy(), edge_index.numpy(), np.float32(radius), feature.numpy())
         return feature

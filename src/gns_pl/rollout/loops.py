@@ -8,59 +8,72 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from gns_pl.machine import compile_function
 
 
-def compiles(*tensors: Tensor) -> bool:
-    """Return whether the loops take tensors: float32, on the CPU."""
-    return all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
-
-
 @compile_function
-def moved_apart(position: Any, edge_index: Any, least: Any, batch: Any, lower: Any, upper: Any) -> Any:
-    """Return positions where the particles of every pair have moved apart by half of what it lacks, each [N, D] [m].
+def move_apart(position: Any, pairs: Any, least: Any, sweeps: int, batch: Any, lower: Any, upper: Any) -> Any:
+    """Move particles of pairs that are too close apart, each by half of what is missing, some times over.
 
     Args:
-        position: [N, D] [m].
-        edge_index: pairs nearer than `least`, both ways [2, E].
+        position: changed in place [N, D] [m].
+        pairs: those nearer than twice `least`, both ways [2, P].
         least: distance that is wanted [m].
+        sweeps: times.
         batch: box of every particle [N].
         lower: corner of every box [B, D] [m].
         upper: likewise.
+
+    Returns:
+        The times that are left when particles have moved so far that others may be too close.
     """
     number, dim = position.shape
     half, tiny = np.float32(0.5), np.float32(1e-6) * least
-    shift = np.zeros_like(position)
-    for e in range(edge_index.shape[1]):
-        j, i = edge_index[0, e], edge_index[1, e]
-        square = np.float32(0)
-        for axis in range(dim):
-            along = position[i, axis] - position[j, axis]
-            square += along * along
-        distance = np.sqrt(square)
-        if distance > tiny:
+    shift, begun = np.empty_like(position), position.copy()
+    while sweeps > 0:
+        sweeps -= 1
+        shift[:] = 0
+        nothing = True
+        for e in range(pairs.shape[1]):
+            j, i = pairs[0, e], pairs[1, e]
+            square = np.float32(0)
             for axis in range(dim):
-                along = (position[i, axis] - position[j, axis]) / distance
-                shift[i, axis] += half * (least - distance) * along
-        else:  # two in one place: the one of the higher number goes up
-            shift[i, dim - 1] += half * (least - distance) * (1 if i > j else -1)
-    for i in range(number):
-        for axis in range(dim):
-            place = position[i, axis] + shift[i, axis]
-            shift[i, axis] = min(max(place, lower[batch[i], axis]), upper[batch[i], axis])
-    return shift
+                along = position[i, axis] - position[j, axis]
+                square += along * along
+            if not square < least * least:
+                continue
+            nothing, distance = False, np.sqrt(square)
+            if distance > tiny:
+                for axis in range(dim):
+                    along = (position[i, axis] - position[j, axis]) / distance
+                    shift[i, axis] += half * (least - distance) * along
+            else:  # two in one place: the one of the higher number goes up
+                shift[i, dim - 1] += half * (least - distance) * (1 if i > j else -1)
+        if nothing:
+            return 0
+        farthest = np.float32(0)
+        for i in range(number):
+            square = np.float32(0)
+            for axis in range(dim):
+                place = position[i, axis] + shift[i, axis]
+                place = min(max(place, lower[batch[i], axis]), upper[batch[i], axis])
+                position[i, axis] = place
+                square += (place - begun[i, axis]) ** 2
+            farthest = max(farthest, square)
+        if not farthest < np.float32(0.24) * least * least:  # of two that both moved by half of `least`
+            return sweeps
+    return 0
 
 
 @compile_function
 def energies(
-    earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any, gravity: Any, lowest: Any, dt: float
+    dt: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any, gravity: Any, lowest: Any
 ) -> Any:
     """Return of every scene what `StableStepper` weighs a step's energy by [B, 5].
 
     Args:
+        dt: time of the step [s].
         earlier: positions before the step before [N, D] [m].
         before: before the step.
         position: behind it.
@@ -69,7 +82,6 @@ def energies(
         batch: scene of every particle [N].
         gravity: [B, D] [m/s²].
         lowest: corner of every box from which heights count [B, D] [m].
-        dt: time of the step [s].
 
     Returns:
         Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it;

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, radius_graph
-from gns_pl.rollout.loops import compiles, energies, moved_apart
+from gns_pl.machine import compiles
+from gns_pl.rollout.loops import energies, move_apart
 from gns_pl.rollout.rest import SleepingStepper
 from gns_pl.rollout.stepper import Stepper
 
@@ -88,16 +89,17 @@ class StableStepper:
         lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
         if not bool(torch.isfinite(position).all()):
             return position
+        if compiles(position, scenes.lower):
+            position, sweeps = position.clone(), SWEEPS
+            boxes = [value.numpy() for value in (scenes.batch, scenes.lower, scenes.upper)]
+            while sweeps:
+                pairs = radius_graph(position, 2 * least, scenes.batch, num_graphs=scenes.num_graphs)
+                sweeps = move_apart(position.numpy(), pairs.numpy(), np.float32(least), sweeps, *boxes)
+            return position
         for _ in range(SWEEPS):
-            pairs = radius_graph(position, least, scenes.batch, num_graphs=scenes.num_graphs)
-            sender, receiver = pairs
+            sender, receiver = radius_graph(position, least, scenes.batch, num_graphs=scenes.num_graphs)
             if len(sender) == 0:
                 break
-            if compiles(position, scenes.lower):
-                boxes = (scenes.batch.numpy(), scenes.lower.numpy(), scenes.upper.numpy())
-                moved = moved_apart(position.contiguous().numpy(), pairs.numpy(), np.float32(least), *boxes)
-                position = torch.from_numpy(moved)
-                continue
             away = position[receiver] - position[sender]
             distance = away.norm(dim=1, keepdim=True)
             aside = torch.zeros_like(away)  # for two in one place: the one of the higher number goes up
@@ -134,8 +136,8 @@ class StableStepper:
         dt, volume, gravity = self.config.dt, scenes.volume, scenes.gravity
         lowest = torch.where(gravity > 0, scenes.upper, scenes.lower)
         if compiles(*frames, volume, gravity):
-            arrays = (*frames, volume, scenes.moved, scenes.batch, gravity, lowest)
-            return torch.from_numpy(energies(*(tensor.numpy() for tensor in arrays), dt))
+            tensors = (*frames, volume, scenes.moved, scenes.batch, gravity, lowest)
+            return torch.from_numpy(energies(dt, *(tensor.numpy() for tensor in tensors)))
         earlier, before, position = frames
         gravity, lowest = scenes.of_particles(gravity), scenes.of_particles(lowest)
         velocity, past = (position - before) / dt, (before - earlier) / dt
