@@ -171,8 +171,8 @@ def _compiled_features(
     context: bool,
 ) -> Tensor | None:
     """Return `node_features`; None where the context's grid is too large."""
-    grid = scenes.grid(radius) if context else None
-    if grid is not None and (grid.room is None or grid.height is None):
+    grid = scenes.grid(radius).arrays if context else None
+    if context and grid is None:
         return None
     number, steps, dim = velocity.shape
     width = node_width(
@@ -190,9 +190,7 @@ def _compiled_features(
     speeds, upper, columns = velocity.contiguous().numpy(), scenes.upper.contiguous().numpy(), feature.numpy()
     begin = fill_motion_and_walls(speeds, scale, place, lower, upper, batch, np.float32(radius), columns)
     if grid is not None:
-        of_grid = (grid.lower, grid.edge, grid.cells, torch.tensor(grid.shape), grid.room, grid.height)
-        arrays = [tensor.contiguous().numpy() for tensor in of_grid]  # type: ignore[union-attr]
-        summed = sum_context(place, np.ascontiguousarray(speeds[:, -1]), batch, volume, *arrays)
+        summed = sum_context(place, np.ascontiguousarray(speeds[:, -1]), batch, volume, *grid)
         sizes = (reach, np.float32(radius), np.float32(EMPTY), np.float32(spacing**dim), scale)
         fill_context(summed, place, lower, batch, volume, *sizes, begin, columns)
         begin += 4 + dim

@@ -33,7 +33,7 @@ def move_apart(
         The times that are left when particles are where others may be too close.
     """
     number, dim = position.shape
-    half, tiny = np.float32(0.5), np.float32(1e-6) * least
+    half, tiny, limit = np.float32(0.5), np.float32(1e-6) * least, least * least
     shift, begun, apart = np.empty_like(position), position.copy(), 0.0
     for axis in range(dim):  # how far two have moved apart since the search, at most
         least_move = most_move = position[0, axis] - searched[0, axis]
@@ -51,11 +51,12 @@ def move_apart(
         nothing = True
         for e in range(pairs.shape[1]):
             j, i = pairs[0, e], pairs[1, e]
-            square = np.float32(0)
-            for axis in range(dim):
+            along = position[i, 0] - position[j, 0]
+            square = along * along
+            for axis in range(1, dim):
                 along = position[i, axis] - position[j, axis]
                 square += along * along
-            if not square < least * least:
+            if not square < limit:
                 continue
             nothing, distance = False, np.sqrt(square)
             if distance > tiny:
