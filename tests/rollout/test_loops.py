@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from gns_pl.graph import SceneBatch, radius_graph
 from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import Run, rollout
 from gns_pl.rollout.engine import history_of, static_of
-from gns_pl.rollout.stabilise import StableStepper, stabilise
+from gns_pl.rollout.stabilise import FoundPairs, StableStepper, stabilise
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.trajectory import Trajectory
 from tests.conftest import CallStepper, make_simulator, make_start, make_static
@@ -108,3 +109,33 @@ def test_with_gradients_torch_makes_the_step(column: Scene, monkeypatch: pytest.
     simulator(history, static_of(start)).sum().backward()
     assert history.grad is not None and bool(torch.isfinite(history.grad).all())
     assert all(weight.grad is not None for weight in simulator.network.parameters())
+
+
+@pytest.mark.parametrize(("move", "searches"), [(0.0, 0), (0.02, 0), (0.2, 1)])
+def test_pairs_that_the_step_found_are_enough_where_nothing_moved_far(
+    move: float, searches: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Particles that fall together by as much as one likes, and each by `move` besides; compared with a new search."""
+    simulator, draw = make_simulator(), torch.Generator().manual_seed(0)
+    before = 0.3 + 0.2 * torch.rand(200, 3, generator=draw)
+    after = before + move * (torch.rand(200, 3, generator=draw) - 0.5) + torch.tensor([0.0, 0.0, -0.2])
+    found, scenes = FoundPairs(radius_graph), make_static(200)
+    radius = simulator.config.connectivity_radius
+
+    def step(history: torch.Tensor, scenes: SceneBatch) -> torch.Tensor:
+        found(before, radius)
+        return after
+
+    history = before[:, None].expand(-1, 4, -1)
+    expected = StableStepper(CallStepper(simulator, step), 0.5, False)(history, scenes)
+    assert float((expected - after).abs().max()) > 1e-3
+    counted = list[int]()
+
+    def search(*arguments: Any, **settings: Any) -> torch.Tensor:
+        counted.append(1)
+        return radius_graph(*arguments, **settings)
+
+    monkeypatch.setattr("gns_pl.rollout.stabilise.radius_graph", search)
+    got = StableStepper(CallStepper(simulator, step), 0.5, False, found)(history, scenes)
+    torch.testing.assert_close(got, expected, atol=1e-6, rtol=0)
+    assert len(counted) == searches

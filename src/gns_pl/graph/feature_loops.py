@@ -49,6 +49,17 @@ def fill_motion_and_walls(
 
 
 @compile_function
+def fill_kinds(particle_type: Any, kinds: Any, material: Any, scale: Any, begin: int, feature: Any) -> None:
+    """Fill in which of the kinds [K] a particle is, and its material [N, M'] by means and deviations [2, M]."""
+    behind = begin + len(kinds)
+    for i in range(len(feature)):
+        for k in range(len(kinds)):
+            feature[i, begin + k] = particle_type[i] == kinds[k]
+        for c in range(scale.shape[1]):
+            feature[i, behind + c] = (material[i, c] - scale[0, c]) / scale[1, c]
+
+
+@compile_function
 def sum_context(
     position: Any, velocity: Any, batch: Any, volume: Any,
     lower: Any, edge: Any, cells: Any, shape: Any, room: Any, height: Any,

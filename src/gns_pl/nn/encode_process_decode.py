@@ -140,15 +140,14 @@ class EncodeProcessDecode(LayerStack):
 
     def _state_key(self, setting: str) -> tuple[object, ...]:
         """Return what changes when the weights do, or are another network's."""
-        key: list[object] = [id(self), setting]
         modules: list[nn.Module] = [self]
-        while modules:  # `parameters()` makes names besides, and takes ten times as long
-            module = modules.pop()
+        found: list[nn.Parameter | None] = []
+        for module in modules:  # grows; `parameters()` makes names besides, and takes ten times as long
             modules.extend(filter(None, module._modules.values()))
-            for weight in module._parameters.values():
-                if weight is not None:
-                    key += [weight.data_ptr(), 0 if weight.is_inference() else weight._version]
-        return tuple(key)
+            found.extend(module._parameters.values())
+        weights = [weight for weight in found if weight is not None]
+        places = [weight.data_ptr() for weight in weights]
+        return id(self), setting, *places, *[0 if weight.is_inference() else weight._version for weight in weights]
 
 
 @functools.cache

@@ -57,6 +57,8 @@ class _Frames(torch.autograd.Function):
     def forward(
         ctx: Any, stepper: Stepper, scenes: SceneBatch, num_steps: int, history: Tensor, *inputs: Tensor
     ) -> Tensor:
+        if inputs[0].requires_grad:  # compiled loops take nothing that wants a derivative
+            scenes = replace(scenes, material=inputs[0].detach())
         frames = all_frames(lambda positions: stepper(positions, scenes), history.detach(), num_steps)
         kind = history.device.type
         ctx.precision = (kind, torch.get_autocast_dtype(kind), torch.is_autocast_enabled(kind))
