@@ -93,6 +93,9 @@ def described(values: Mapping[str, float | None]) -> str:
         values: errors by their names in `metrics.summary.ERRORS` and `SUMMARY`, without a prefix.
     """
     known = {name: value for name, value in values.items() if value is not None and math.isfinite(value)}
+    if "deposit_error" in known:
+        parts = [f"{name} {100 * known[f'{name}_error']:.1f} %" for name in ("front", "map", "height")]
+        return f"deposit off by {100 * known['deposit_error']:.1f} % ({', '.join(parts)}), root mean square"
     if "position_error" not in known:
         return "rollouts not finite"
     parts = [f"position error {known['position_error']:.3g} spacings"]
