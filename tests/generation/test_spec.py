@@ -340,3 +340,25 @@ def test_what_given_scenes_hold_is_within_their_range(tmp_path: Path) -> None:
     assert list(out_of_range(scene, spec.to_dict())) == []
     body = replace(scene.bodies[0], size=tuple(0.5 * edge for edge in scene.bodies[0].size))
     assert next(out_of_range(scene.replace(bodies=(body,)), spec.to_dict())).startswith("trained on lengths from")
+
+
+def test_a_family_on_slopes_tilts_gravity_and_changes_nothing_else() -> None:
+    level = plan()
+    blocks = {**BLOCKS, "slope_deg": [2.0, 15.0]}
+    tilted = plan(families={"cube_drop": dict(DROPS), "low": blocks})
+    slopes = []
+    for before, now in zip(level, tilted, strict=True):
+        assert now.scene.replace(gravity=before.scene.gravity) == before.scene and now.seed == before.seed
+        if now.scene.name.startswith("low"):
+            along, across, down = now.scene.gravity
+            assert across == 0 and math.hypot(along, down) == pytest.approx(9.81, rel=1e-12) and along > 0 > down
+            slopes.append(math.degrees(math.atan2(along, -down)))
+        else:
+            assert now == before
+    assert len(set(slopes)) == len(slopes) and 2 <= min(slopes) <= max(slopes) <= 15
+    spec = make_spec(families={"cube_drop": dict(DROPS), "low": blocks})
+    assert list(out_of_range(tilted[-1].scene, spec)) == []
+    steep = tilted[-1].scene.replace(gravity=(9.81 * math.sin(0.3), 0.0, -9.81 * math.cos(0.3)))
+    assert list(out_of_range(steep, spec)) == ["trained at a gravity of 9.81 m/s² on slopes of up to 15°"]
+    with pytest.raises(InputError, match="slope_deg must lie below 90"):
+        plan(families={"low": {**BLOCKS, "slope_deg": [2.0, 95.0]}})

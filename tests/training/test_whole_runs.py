@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,12 @@ import pytest
 import torch
 
 from gns_pl.errors import InputError
-from gns_pl.io import read_manifest
+from gns_pl.io import read_manifest, read_trajectory
+from gns_pl.metrics.observables import compute_observables
 from gns_pl.models.checkpoint import load_checkpoint
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.training.config import RolloutPhase
+from gns_pl.training.deposits import deposit_errors
 from gns_pl.training.outcomes import ERRORS
 from gns_pl.training.resume import find_resume
 from gns_pl.training.summary import read_summary, summary_lines
@@ -44,7 +47,7 @@ def runs(two_phases: Path, data_root: Path) -> WholeRuns:
     """The runs of ten steps of two scenes, of which the first half grow."""
     checkpoint = load_checkpoint(two_phases / "last.ckpt")
     found = [read_fine_run(data_root / name, 1) for name in read_manifest(data_root).splits["train"]]
-    phase = RolloutPhase(10, 2, 1e-3, 0.5, WEIGHTS)
+    phase = RolloutPhase(10, 2, 1e-3, 0.5, 2, WEIGHTS)
     return WholeRuns(found, phase, checkpoint.data, symmetry=True, seed=0)
 
 
@@ -177,10 +180,31 @@ def test_data_without_observables_are_refused(two_phases: Path, data_root: Path,
 )
 def test_settings_that_cannot_be_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        replace(RolloutPhase(10, 2, 1e-3, 0.5, WEIGHTS), **changes)
+        replace(RolloutPhase(10, 2, 1e-3, 0.5, 2, WEIGHTS), **changes)
 
 
 def test_more_steps_of_whole_runs_than_there_are_steps_are_refused(data_root: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="more than all steps of the training"):
         train(make_config(data_root, tmp_path, "training.rollout.num_steps=7"), tmp_path, None)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_deposits_of_cold_starts_are_validated(two_phases: Path) -> None:
+    """Where whole runs are trained on, validations have the errors of a chart, by which weights can be chosen."""
+    [row] = [row for row in rows(two_phases) if row["valid/deposit_error"] and row["step"] == "2"]
+    front, volumes = (float(row[f"valid/{name}_rms"]) for name in ("front", "map"))
+    assert float(row["valid/deposit_error"]) == max(front, volumes) > 0 and float(row["valid/height_rms"]) > 0
+    summary = read_summary(two_phases)
+    assert summary is not None and "deposit off by" in "".join(summary_lines(summary))
+
+
+def test_a_fine_run_has_no_error_of_its_own_deposit_and_a_broken_one_any(data_root: Path) -> None:
+    path = data_root / read_manifest(data_root).splits["train"][0]
+    trajectory = read_trajectory(path)
+    fine = compute_observables(trajectory, 0.1)
+    assert max(map(abs, deposit_errors(trajectory, fine).values())) < 1e-6
+    broken = trajectory.position.copy()
+    broken[-1, 0] = math.nan
+    assert set(deposit_errors(replace(trajectory, position=broken), fine).values()) == {math.inf}
+    higher = replace(fine, mean_height=fine.mean_height / 1.25)
+    assert deposit_errors(trajectory, higher)["height"] == pytest.approx(0.25)

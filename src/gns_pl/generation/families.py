@@ -6,6 +6,7 @@ in the family, and on nothing else: more trajectories, another family or more pr
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -71,7 +72,7 @@ def _draw_family(spec: DatasetSpec, name: str, first: int) -> list[Planned]:
     counts = {key: whole_number(owner, key, family.get(key, 0)) for key in ("count", "valid", "test")}
     if counts["valid"] + counts["test"] > counts["count"]:
         raise InputError(f"{owner}: valid and test are part of count and cannot exceed it.")
-    shared = {"kind", *counts, "walls", "material", "friction_angle_deg"}
+    shared = {"kind", *counts, "walls", "material", "friction_angle_deg", "slope_deg"}
     known = {*shared, *drawn.needed, *drawn.optional}
     unknown = sorted(set(family) - known) if drawn.checked else []
     missing = sorted(set(drawn.needed) - set(family))
@@ -86,18 +87,32 @@ def _draw_family(spec: DatasetSpec, name: str, first: int) -> list[Planned]:
         angles = checked_range(owner, "friction_angle_deg", angles)
         for angle in angles:
             replace(material, friction_angle_deg=angle)  # refuses what no sand has, before a draw happens to hit it
+    slopes = family.get("slope_deg")
+    if slopes is not None:
+        slopes = checked_range(owner, "slope_deg", slopes)
+        if slopes[1] >= 90:
+            raise InputError(f"{owner}: slope_deg must lie below 90, not {slopes[1]:g}.")
     splits = _draw_splits(spec.seed, name, **counts)
     planned = []
     for number in range(counts["count"]):
-        stream, placement, friction = _sequence(spec.seed, name, _SCENES, number).spawn(3)
+        stream, placement, friction, slope = _sequence(spec.seed, name, _SCENES, number).spawn(4)
         if angles is not None:
             material = replace(material, friction_angle_deg=np.random.default_rng(friction).uniform(*angles))
         common = {"gravity": spec.gravity, "walls": walls, "material": material, "name": f"{name}_{number:04d}"}
         taken = {key: common[key] for key in drawn.common}
         scene = drawn.sampler(np.random.default_rng(stream), **own, **taken)
+        if slopes is not None:
+            scene = _tilted(scene, np.random.default_rng(slope).uniform(*slopes))
         _check_scene(spec, owner, scene)
         planned.append(_planned(spec, name, number, first, splits[number], scene, placement))
     return planned
+
+
+def _tilted(scene: Scene, slope: float) -> Scene:
+    """Return a scene on a slope [degrees] that falls along x: its box is as it was, its gravity is tilted."""
+    angle, size = math.radians(slope), math.hypot(*scene.gravity)
+    level = (0.0,) * (scene.dim - 2)
+    return scene.replace(gravity=(size * math.sin(angle), *level, -size * math.cos(angle)))
 
 
 def _planned(
@@ -143,12 +158,11 @@ def _given_family(spec: DatasetSpec, owner: str, name: str, first: int) -> list[
 
 
 def _check_scene(spec: DatasetSpec, owner: str, scene: Scene) -> None:
-    """Refuse what no learned simulator can be trained on, and another gravity than the data set's."""
-    downwards = (0.0,) * (scene.dim - 1) + (-float(spec.gravity),)
-    if not np.allclose(scene.gravity, downwards, rtol=1e-9, atol=0):
+    """Refuse what no learned simulator can be trained on, and another gravity than the data set's, but for a slope."""
+    if scene.gravity[-1] >= 0 or not math.isclose(math.hypot(*scene.gravity), spec.gravity, rel_tol=1e-3):
         raise InputError(
             f"{owner}: scene {scene.name!r} has the gravity {list(scene.gravity)}, and the data set "
-            f"{list(downwards)}; set data.gravity, or change the scene."
+            f"{spec.gravity:g} m/s² downwards or tilted; set data.gravity, or change the scene."
         )
     if scene.obstacles:
         raise InputError(f"{owner}: scene {scene.name!r} has obstacles, and a learned simulator knows none yet.")

@@ -41,8 +41,8 @@ class Kind:
 KINDS: dict[str, Kind] = {
     "cube_drop": Kind(sample_cube_drop, ("domain", "side", "speed", "max_drop", "duration")),
     "block_release": Kind(sample_block_release, ("domain", "length", "aspect_ratio", "at_wall", "duration")),
-    "pair_release": Kind(sample_pair_release, ("domain", "length", "aspect_ratio", "at_wall", "speed", "duration")),
     "column_collapse": Kind(sample_column_collapse, ("domain", "length", "aspect_ratio", "duration_tau")),
+    "pair_release": Kind(sample_pair_release, ("domain", "length", "aspect_ratio", "at_wall", "speed", "duration")),
 }
 """Name → kind."""
 

@@ -35,8 +35,9 @@ class DatasetSpec:
         gravity: magnitude [m/s²].
         families: name → {kind, count, valid, test, parameters of its kind}; `kind` may be left out if the name is one.
             `count` trajectories, of which `valid` and `test` are held out. A family may have walls and a material of
-            its own, and a range `friction_angle_deg` from which every trajectory draws [degrees]. A family of the kind
-            `scenes` has `files` of scenes, or `scenes` as plain values, and `placements`: trajectories of each.
+            its own, and ranges from which every trajectory draws: `friction_angle_deg`, and `slope_deg`, by which
+            gravity is tilted along x [degrees]. A family of the kind `scenes` has `files` of scenes, or `scenes` as
+            plain values, and `placements`: trajectories of each.
         store_every: k of every data set that is stored: one of k^D points of each body.
         sampling: which one: "lattice" keeps every k-th lattice point per direction, "stratified" a point drawn in each
             block of k^D, which is as far out as all points are (`generation.thinning`).

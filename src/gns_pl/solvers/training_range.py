@@ -25,7 +25,7 @@ def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         return
     if scene.obstacles:
         yield "knows no obstacles"
-    most = max(family.get("bodies", 1) for family in families)
+    most = max(family.get("bodies", 2 if family.get("kind") == "pair_release" else 1) for family in families)
     if len(scene.bodies) > most:
         known_bodies = "single bodies" if most == 1 else f"up to {most} bodies"
         yield f"trained on {known_bodies}, the scene has {len(scene.bodies)}"
@@ -41,9 +41,12 @@ def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         if other is not None:
             how = f"{other}: {' or '.join(sorted(seen[other])) or 'none'}, here {here[other]}"
         yield f"trained with other walls ({how})"
-    gravity = float(data.get("gravity", 0.0))
-    if any(scene.gravity[:-1]) or abs(-scene.gravity[-1] - gravity) > 0.01 * gravity:
-        yield f"trained at a gravity of {gravity:g} m/s² downwards"
+    gravity, size = float(data.get("gravity", 0.0)), math.hypot(*scene.gravity)
+    slope = math.degrees(math.atan2(math.hypot(*scene.gravity[:-1]), -scene.gravity[-1]))
+    steepest = max(max(family.get("slope_deg", (0.0,))) for family in families)
+    if abs(size - gravity) > 0.01 * gravity or slope > steepest + 0.01:
+        tilted = f" on slopes of up to {steepest:g}°" if steepest else " downwards"
+        yield f"trained at a gravity of {gravity:g} m/s²{tilted}"
     angles = [each for family in families for each in family.get("friction_angle_deg", ())]
     base = part_from_dict(Material, "material", data["material"])
     materials = [base, *(material for family in families for material in family.get("materials", ()))]
@@ -71,6 +74,7 @@ def _families(data: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
             yield {
                 "walls": plain["walls"],
                 "bodies": len(bodies),
+                "slope_deg": [math.degrees(math.atan2(math.hypot(*scene.gravity[:-1]), -scene.gravity[-1]))],
                 "materials": [scene.materials[body.material] for body in bodies],
                 "friction_angle_deg": [scene.materials[body.material].friction_angle_deg for body in bodies],
                 "length": [body.size[0] for body in bodies],

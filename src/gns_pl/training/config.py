@@ -66,6 +66,7 @@ class RolloutPhase:
         scenes: rolled out in every one of them, by all devices together.
         learning_rate: its largest value in these steps.
         whole_from: share of these steps after which runs are whole; before, their length grows.
+        placements: fillings of every validation scene, which is judged by its deposit (`training.deposits`).
         weights: of the errors of a run, `training.outcomes.ERRORS`, and of "windows", the usual loss beside.
 
     Raises:
@@ -76,11 +77,12 @@ class RolloutPhase:
     scenes: int
     learning_rate: float
     whole_from: float
+    placements: int
     weights: Mapping[str, float]
 
     def __post_init__(self) -> None:
         owner = "training.rollout"
-        _check(owner, self, num_steps=0, scenes=1, learning_rate=0.0, whole_from=0.0)
+        _check(owner, self, num_steps=0, scenes=1, placements=1, learning_rate=0.0, whole_from=0.0)
         if self.whole_from > 1:
             raise InputError(
                 f"{owner}.whole_from is a share of the steps, and must be at most 1, not {self.whole_from}."

@@ -15,6 +15,7 @@ from gns_pl.metrics.summary import rollout_errors
 from gns_pl.models.checkpoint import Checkpoint, checkpoint_entry
 from gns_pl.models.registry import build_simulator
 from gns_pl.solvers.learned import LearnedSolver
+from gns_pl.training.deposits import Deposits
 from gns_pl.training.learning import LearningModule
 from gns_pl.training.optimiser import MuonAndAdamW, forget
 from gns_pl.training.outcomes import ERRORS
@@ -83,6 +84,7 @@ class SimulatorModule(LearningModule):
         self.optimisation, self.rollout = optimisation, rollout
         self.first_rollout: int = optimisation["num_steps"] - rollout["num_steps"]
         self.whole_runs: WholeRuns | None = None  # needed from step `first_rollout` on
+        self.deposits: Deposits | None = None  # validated by, where whole runs are trained on
         self.data = data
         self.particles_per_window = particles_per_window
         self.seed = seed
@@ -172,7 +174,11 @@ class SimulatorModule(LearningModule):
         # Not monitored, so that a network that is not yet any good has errors too, and not only failures.
         predicted = solver.run(reference, num_steps=reference.num_frames - 1, monitor=False)
         seconds = cast(float, predicted.provenance["wall_seconds"]) / max(1, predicted.num_frames - 1)
-        self._validation.add({**rollout_errors(predicted, reference), STEP_SECONDS: seconds})
+        errors = {**rollout_errors(predicted, reference), STEP_SECONDS: seconds}
+        if self.deposits is not None:
+            number = self.trainer.global_rank + batch_index * self.trainer.world_size
+            errors.update(self.deposits.squares(solver, number))
+        self._validation.add(errors)
         return {"predicted": predicted}
 
     def configure_optimizers(self) -> Any:

@@ -102,6 +102,8 @@ def described(values: Mapping[str, float | None]) -> str:
     for name, word in (("runout_99_error", "runout"), ("mean_height_error", "mean height")):
         if name in known:
             parts.append(f"{word} {100 * known[name]:+.0f} %")
+    if "deposit_error" in known:
+        parts.append(f"deposit off by {100 * known['deposit_error']:.1f} %")
     if "column_runout_error" in known:
         parts.append(f"runout of columns off by {100 * known['column_runout_error']:.1f} %")
     if "speed_mean" in known:

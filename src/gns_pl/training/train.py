@@ -27,6 +27,7 @@ from gns_pl.training.beginning import begin_from
 from gns_pl.training.callbacks import StopAtSignal
 from gns_pl.training.checkpoints import BEST, LAST, best_checkpoint
 from gns_pl.training.config import TrainingConfig
+from gns_pl.training.deposits import Deposits
 from gns_pl.training.devices import check_devices, end_together, is_rank_zero
 from gns_pl.training.distribution import measure_distribution
 from gns_pl.training.learning import LearningModule
@@ -75,9 +76,13 @@ class SimulatorRecipe(Recipe):
             )
         module = build_module(self.settings, self.training, datamodule, self.begun)
         if phase.num_steps:
-            runs = [read_fine_run(directory / name, self.training.stride) for name in datamodule.train_names]
+            stride = self.training.stride
+            runs = [read_fine_run(directory / name, stride) for name in datamodule.train_names]
             symmetry, seed = self.training.optimisation.symmetry, self.settings["seed"]
             module.whole_runs = WholeRuns(runs, phase, self.settings["data"], symmetry=symmetry, seed=seed)
+            if trainer.limit_val_batches:
+                held_out = [read_fine_run(directory / name, stride) for name in datamodule.valid_names]
+                module.deposits = Deposits(held_out, phase.placements)
         return module, datamodule
 
 

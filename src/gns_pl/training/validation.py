@@ -13,7 +13,13 @@ from gns_pl.metrics.summary import ERRORS, SUMMARY
 STEP_SECONDS = "rollout_step_seconds"
 """Wall time of one step of a validation rollout [s]."""
 
-NAMES = (*(quantity.name for quantity in (*ERRORS, *SUMMARY)), STEP_SECONDS)
+DEPOSIT = ("front", "map", "height")
+"""Errors of the final deposit against all points of the fine run: `training.deposits`. Rows hold their squares."""
+
+DEPOSIT_ERROR = "deposit_error"
+"""The larger of the root mean squares of front and map: that by which a chart calls a solver as accurate."""
+
+NAMES = (*(quantity.name for quantity in (*ERRORS, *SUMMARY)), STEP_SECONDS, *(f"{name}_square" for name in DEPOSIT))
 
 MONITORED = "position_error"
 """The error that the progress bar shows and the best checkpoint is chosen by. A rollout that fails makes it NaN; the
@@ -40,6 +46,8 @@ class ValidationTable:
         Relative errors of the runout are weighted by the runout they are relative to: that of a drop is a spacing or
         two, and its error would outweigh those of all columns.
 
+        Errors of the deposit become root mean squares over scenes and placements; the worse is `DEPOSIT_ERROR`.
+
         Rows are put together before they are summed, so the means do not depend on the number of processes.
 
         Args:
@@ -52,13 +60,16 @@ class ValidationTable:
             if errors is None:
                 continue
             for column, name in enumerate(NAMES):
-                value = errors[name]
+                value = errors.get(name, math.nan)
                 if name == MONITORED or not math.isnan(value):
                     weight = _weight(name, errors)
                     table[slot * ranks + rank, :, column] = torch.tensor([weight * value, weight], dtype=precision)
         joined = strategy.reduce(table.to(strategy.root_device), reduce_op="sum").cpu()
         total, count = joined.sum(dim=0).tolist()
-        return {name: total[i] / count[i] for i, name in enumerate(NAMES) if count[i]}
+        means = {name: total[i] / count[i] for i, name in enumerate(NAMES) if count[i]}
+        roots = {f"{name}_rms": math.sqrt(means.pop(f"{name}_square")) for name in DEPOSIT if f"{name}_square" in means}
+        worse = {DEPOSIT_ERROR: max(roots["front_rms"], roots["map_rms"])} if roots else {}
+        return means | roots | worse
 
 
 def _weight(name: str, errors: Mapping[str, float]) -> float:
