@@ -35,7 +35,7 @@ STILL = 0.1
 """Of the velocity threshold: what is slower gets no correction at all, where corrections are bounded."""
 
 TINY = 1e-12
-"""Square of a length, over its bound, near which the derivative of the length is cut off."""
+"""Square of a speed [m²/s²] below which its derivative is cut off."""
 
 PREFIX = "corrector."
 """Of its weights in the checkpoints of a training."""
@@ -62,8 +62,8 @@ class CorrectorConfig:
         coarse: {"cells", "factors"} of a coarse run of its own points, its cells √(L0 H0) over "cells" and its scalars
             retuned (`solvers.retuned`); spacing and radius are then in spacings of these points, and `mpm` has no cell
             size. None: a run on cells of one size, with the points of the data.
-        largest: bound of a correction, in tan φ g Δt, what friction takes from a sliding point until the next one; a
-            bounded correction is horizontal. None for no bound.
+        largest: bound of a correction, in tan φ g Δt, what friction takes from a sliding point until the next one; such
+            a correction is along a point's own horizontal motion, or against it. None for a vector without a bound.
 
     Raises:
         InputError: a value out of range.
@@ -134,7 +134,7 @@ class Corrector(nn.Module):
         self.network = EncodeProcessDecode(
             node_width=width + config.dim,
             edge_width=edge_width(config.dim),
-            output_width=config.dim if config.largest is None else config.dim - 1,
+            output_width=config.dim if config.largest is None else 1,
             latent_size=config.latent_size,
             num_mlp_layers=config.num_mlp_layers,
             num_message_passing_steps=config.num_message_passing_steps,
@@ -161,9 +161,11 @@ class Corrector(nn.Module):
         before, position, predicted = (each.to(dtype) for each in (before, position, predicted))
         static = static.in_precision(dtype)
         velocity = (predicted - position) / config.interval
-        speed = velocity.norm(dim=1, keepdim=True)
+        threshold = config.velocity_threshold * self.velocity_scale
+        flow = velocity if config.largest is None else velocity[:, :-1]
+        speed = (flow.square().sum(dim=1, keepdim=True) + TINY).sqrt()
         if config.largest is not None:
-            speed = (speed - STILL * config.velocity_threshold * self.velocity_scale).clamp_min(0)
+            direction, speed = flow / speed, (speed - STILL * threshold).clamp_min(0)
             if not bool((speed > 0).any()):
                 return 0 * predicted  # and a derivative of zero
         edge_index = radius_graph(predicted, radius, static.batch, num_graphs=static.num_graphs)
@@ -181,19 +183,13 @@ class Corrector(nn.Module):
         change = (predicted - 2 * position + before) / (config.interval * self.velocity_scale)
         edge = edge_features(predicted, edge_index, radius)
         output: Tensor = self.network(torch.cat([node, change], dim=1), edge, edge_index)
-        moving: Tensor = speed / (speed + config.velocity_threshold * self.velocity_scale)
+        moving: Tensor = speed / (speed + threshold)
         if config.largest is None:
             return output * moving * self.correction_scale
         friction = static.material[:, MATERIAL_FEATURES.index("tan_friction_angle"), None]
         gravity = static.of_particles(static.gravity.norm(dim=1, keepdim=True))
-        output = torch.cat([output, torch.zeros_like(output[:, :1])], dim=1)
-        return bounded(output * moving) * (config.largest * config.interval * friction * gravity)
-
-
-def bounded(vectors: Tensor) -> Tensor:
-    """Return vectors shortened so that all are below a length of 1; short ones stay as they are [N, D]."""
-    length = (vectors.square().sum(dim=1, keepdim=True) + TINY).sqrt()
-    return vectors * (length.tanh() / length)
+        along = output.tanh() * moving * (config.largest * config.interval * friction * gravity)
+        return torch.cat([along * direction, torch.zeros_like(along)], dim=1)
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,6 @@ from torch.utils.data import DataLoader
 from gns_pl.data.datamodule import TrajectoryDataModule
 from gns_pl.graph import WindowRandom
 from gns_pl.io import read_manifest
-from gns_pl.metrics.maps import map_error, volume_map
-from gns_pl.metrics.release import front_advance
 from gns_pl.models.checkpoint import FORMAT_VERSION
 from gns_pl.models.corrector import Corrector, CorrectorConfig
 from gns_pl.models.shipped import CORRECTOR_KIND
@@ -32,11 +30,13 @@ from gns_pl.rollout import static_of
 from gns_pl.solvers.correction import CoarseStart, corrected_run
 from gns_pl.training.config import CorrectedRunsConfig
 from gns_pl.training.followed import StepNumbers
+from gns_pl.training.deposits import deposit_errors
 from gns_pl.training.learning import LearningModule
 from gns_pl.training.module import learning_rate_factor
-from gns_pl.training.outcomes import ERRORS, LEAST_ADVANCE, PERCENT, compared_frames, outcome_errors
+from gns_pl.training.outcomes import ERRORS, compared_frames, outcome_errors
 from gns_pl.training.straight import mirrored, straight_run
 from gns_pl.training.symmetry import Symmetry
+from gns_pl.training.validation import DEPOSIT, MONITORED
 from gns_pl.training.whole_runs import FineRun, read_fine_run
 
 WARMUP, FINAL = 0.05, 0.02
@@ -44,8 +44,6 @@ WARMUP, FINAL = 0.05, 0.02
 
 FIRST_PLACEMENT = 1_000_000_000
 """Seed of the first placement in which a validation scene is judged; training draws others."""
-
-JUDGED = ("front_error", "map_error", "height_error")
 
 
 class FineRuns(TrajectoryDataModule):
@@ -161,22 +159,25 @@ class CorrectedRunsModule(LearningModule):
         frames = mirrored(straight_run(self.corrector, start, run.last, turn), scene, start.reduction.mirrors)
         return outcome_errors(frames, start.reduction.lift(start.first), run.fine, compared_frames(run.last, run.last))
 
-    def on_validation_epoch_start(self) -> None:
-        """Begin a new table of errors."""
-        self._judged: list[list[float]] = []
-
     def validation_step(self, batch: int, batch_index: int) -> None:
         """Run a validation scene in some placements, and note the errors of its deposit."""
-        fine = self.runs.valid_set[batch]
-        for seed in range(self.training_config["placements"]):
-            self._judged.append(deposit_errors(self.corrector, fine, FIRST_PLACEMENT + seed))
+        fine, rows = self.runs.valid_set[batch], []
+        for placement in range(self.training_config["placements"]):
+            start = CoarseStart.retuned(self.corrector.config, fine.start.scene, FIRST_PLACEMENT + placement, {})
+            try:
+                run = start.reduction.lift(corrected_run(self.corrector, start, fine.last))
+                errors = deposit_errors(run.every(fine.last), fine.fine)
+            except SimulationError:
+                errors = dict.fromkeys(DEPOSIT, math.inf)
+            rows.append([errors[name] ** 2 for name in DEPOSIT])
+        squares = np.mean(rows, axis=0).tolist()
+        self._validation.add(dict(zip((f"{name}_square" for name in DEPOSIT), squares, strict=True)))
 
     def on_validation_epoch_end(self) -> None:
-        """Log root mean squares over scenes and placements, and that of the worse of front and map."""
-        table = np.array(self._judged)
-        worse = np.abs(table[:, :2]).max(axis=1)
-        for name, values in zip((*JUDGED, "deposit_error"), (*table.T, worse), strict=True):
-            self.log(f"valid/{name}", float(np.sqrt(np.square(values).mean())), batch_size=1)
+        """Log the errors of deposits over all scenes and placements."""
+        for name, value in self._validation.means(self.trainer).items():
+            if name != MONITORED:  # fine points are not those of the coarse run
+                self.log(f"valid/{name}", value, batch_size=1)
 
     def configure_optimizers(self) -> Any:
         """Return AdamW with warm-up and cosine."""
@@ -193,32 +194,6 @@ class CorrectedRunsModule(LearningModule):
         config = asdict(self.corrector.config)
         entry = {"format_version": FORMAT_VERSION, "kind": CORRECTOR_KIND, "config": config}
         return entry | {"data": self.data, "provenance": provenance}
-
-
-def deposit_errors(corrector: Corrector, fine: FineRun, seed: int) -> list[float]:
-    """Return the errors of the last frame of a corrected run, in the order of `JUDGED`; infinite if it broke.
-
-    Those of the front are over its advance (`outcomes.LEAST_ADVANCE`), and of the height over the fine run's.
-
-    Args:
-        corrector: corrects.
-        fine: what is to be reached.
-        seed: of the placement.
-    """
-    scene, wanted = fine.start.scene, fine.fine
-    start = CoarseStart.retuned(corrector.config, scene, seed, {})
-    try:
-        run = start.reduction.lift(corrected_run(corrector, start, fine.last))
-    except SimulationError:
-        return [math.inf] * len(JUDGED)
-    place = run.position[-1].astype(np.float64)
-    advance = float(wanted.advance()[-1, wanted.percents.index(PERCENT)])
-    height = float(run.mass @ place[:, -1] / run.mass.sum()) - scene.lower[-1]
-    return [
-        (float(front_advance(run.every(fine.last))[-1]) - advance) / max(advance, LEAST_ADVANCE * wanted.cell),
-        map_error(volume_map(place, run.volume().astype(np.float64), scene, wanted.cell), wanted.volume_map[-1]),
-        height / float(wanted.mean_height[-1]) - 1,
-    ]
 
 
 def velocity_scale(runs: Sequence[FineRun]) -> float:

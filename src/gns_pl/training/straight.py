@@ -3,10 +3,10 @@
 The material point step itself is not differentiated. A velocity given now carries on and decays: with δx and δv what
 positions and velocities change by, from one correction to the next
 
-    δx ← δx + Δt δv,    δv ← c (δv + δw),    c = c₀ + c₁ u² / (u² + 3 s²)
+    δx ← δx + Δt δv,    δv ← (δv + δw) exp(−λ Δt),    λ = λ₀ − λ₁ u² / (u² + 3 s²)
 
 where w is the correction, u a point's horizontal speed and s the corrector's velocity scale (a straight-through
-derivative; Bengio, Léonard and Courville 2013). What slides fast on the floor keeps a velocity longest. c₀ and c₁ are
+derivative; Bengio, Léonard and Courville 2013). What slides fast on the floor keeps a velocity longest. λ₀ and λ₁ are
 such that the response of fronts and centres of columns to a velocity given along the flow, in all, in the outermost
 tenth or in the rest, is that of coarse runs to about a third (docs/reductions.md). The corrector itself is
 differentiated, by its weights and by the places that it sees.
@@ -30,8 +30,8 @@ from gns_pl.scene import Scene
 from gns_pl.solvers.correction import CoarseStart
 from gns_pl.training.symmetry import Symmetry
 
-CARRIED = (0.83, 0.12)
-"""Of a velocity given, the share that is left after an interval: at rest, and what a fast point keeps besides."""
+DECAY = (9.3, 6.7)
+"""Rates at which a velocity given is lost: of a slow point, and by how much less a fast one loses it [1/s]."""
 
 
 def straight_run(
@@ -70,8 +70,8 @@ def straight_run(
         )
         run.add_velocity(correction.detach().numpy())
         square = ((after - now).detach()[:, :-1] / interval).square().sum(dim=1, keepdim=True)
-        carried = CARRIED[0] + CARRIED[1] * square / (square + 3 * corrector.velocity_scale.square())
-        speed_change = carried * (speed_change + correction - correction.detach())
+        rate = DECAY[0] - DECAY[1] * square / (square + 3 * corrector.velocity_scale.square())
+        speed_change = (speed_change + correction - correction.detach()) * torch.exp(-rate * interval)
         before, now = now, after
         frames.append(now)
     return torch.stack(frames)
