@@ -12,10 +12,10 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from gns_pl.errors import InputError
-from gns_pl.io import read_trajectory
+from gns_pl.io import read_manifest, read_observables, read_trajectory
 from gns_pl.models.corrector import load_corrector
 from gns_pl.scene import FACES, Box, Scene, Wall, column_collapse
 from gns_pl.solvers.corrected import CorrectedSolver
@@ -83,7 +83,7 @@ def whole(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_run_leaves_what_any_training_leaves_and_its_corrector(whole: Path) -> None:
+def test_the_run_leaves_what_any_training_leaves_and_its_corrector(whole: Path, root: Path) -> None:
     summary, losses = read_summary(whole), [float(row["loss"]) for row in rows(whole) if row["loss"]]
     assert summary is not None and summary["status"] == "finished" and len(losses) == 4 and min(losses) > 0
     assert summary["data"]["num_train"] == 4 and summary["data"]["num_valid"] == 2  # of both sets
@@ -91,17 +91,19 @@ def test_the_run_leaves_what_any_training_leaves_and_its_corrector(whole: Path) 
     file = load_corrector(whole / "tiny.corrector")
     fit = read_fitted("mpm-retuned-5")
     assert file.corrector.config.coarse == {"cells": fit.cells, "factors": dict(vars(fit.factors))}
-    assert 0.1 < float(file.corrector.velocity_scale) < 2.0
+    folder = root / "every_2" if (root / "every_2").is_dir() else root
+    names = read_manifest(folder).splits["train"]
+    energies = [(read_observables(folder / name), read_trajectory(folder / name).mass.sum()) for name in names]
+    squares = np.concatenate([2 * each.every(2).kinetic_energy / mass / 3 for each, mass in energies if each])
+    assert float(file.corrector.velocity_scale) == pytest.approx(math.sqrt(squares.mean()), rel=1e-5)
     assert file.provenance["steps"] == summary["best"]["step"]
 
 
 def test_stopped_and_resumed_it_ends_where_an_uninterrupted_run_does(root: Path, whole: Path, tmp_path: Path) -> None:
-    stopping = dict(part.lstrip("+").split("=") for part in callback("SignalAt", step=2, number=int(signal.SIGTERM)))
+    stopping = callback("SignalAt", step=2, number=int(signal.SIGTERM))
     cut = make_config(root, tmp_path)
     with open_dict(cut):
-        for key, value in stopping.items():
-            _, name, entry = key.split(".")
-            cut.callbacks.setdefault(name, {})[entry] = int(value) if value.isdigit() else value
+        cut.merge_with(OmegaConf.from_dotlist([each.lstrip("+") for each in stopping]))
     with pytest.raises(SystemExit, match="stopped after 3 steps"):
         train(cut, tmp_path, None)
     train(make_config(root, tmp_path), tmp_path, find_resume("auto", tmp_path))
@@ -126,12 +128,13 @@ def test_it_runs_wherever_the_coarse_solver_does(whole: Path, tmp_path: Path) ->
         run, alone = (each.run(scene, seed=2, interval=0.02) for each in (solver, fit))
         assert run.scene == scene and run.num_particles == alone.num_particles and run.num_frames == alone.num_frames
         assert 0 < np.abs(run.position - alone.position).max() < 0.02  # four steps of training
-    assert solver.size(column()) == (solver.run(column()).num_particles // 2, 5)
+    points, steps = solver.size(column())
+    assert points == pytest.approx(solver.run(column()).num_particles / 2, rel=0.05) and steps == 5
     assert "mirror" in solver.reduced(column()).description
     assert "obstacles" in str(solver.out_of_range_reason(column(obstacles=(barrier,))))
     solver.record([column()], [tmp_path / "a.h5"], interval=0.01, seed=2, monitor=True)
     recorded = read_trajectory(tmp_path / "a.h5")
-    np.testing.assert_array_equal(recorded.position, solver.run(column(), seed=2).position)
+    np.testing.assert_allclose(recorded.position, solver.run(column(), seed=2).position, atol=1e-7)
     assert recorded.scene == column()
     flat = column_collapse(
         domain=(0.9, 0.5), length=0.27, height=0.27, gravity=9.81, duration=0.2, material=SAND,
@@ -142,9 +145,7 @@ def test_it_runs_wherever_the_coarse_solver_does(whole: Path, tmp_path: Path) ->
         solver.run(flat)
 
 
-def test_a_broken_run_is_a_step_left_out(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_run_is_a_step_left_out(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from gns_pl.mpm import SimulationError
     from gns_pl.training.corrected_runs import CorrectedRunsModule
 

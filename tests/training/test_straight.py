@@ -71,11 +71,11 @@ class TwoLines:
 
 
 @pytest.mark.parametrize("turns", [False, True])
-def test_the_derivative_is_that_of_the_two_lines(
-    turns: bool, column3: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_derivative_is_that_of_the_two_lines(turns: bool, column3: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gns_pl.training.straight.stepped_run", TwoLines)
-    monkeypatch.setattr("gns_pl.training.straight.DECAY", (10.0, 0.0))  # one rate for all, or it would have a derivative
+    monkeypatch.setattr(
+        "gns_pl.training.straight.DECAY", (10.0, 0.0)
+    )  # one rate for all, or it would have a derivative
     corrector, start = trained().double(), CoarseStart.retuned(CONFIG, column3, 0, {})
     static = static_of(start.first).in_precision(torch.float64)
     turn = Symmetry.sample(static, WindowRandom(5, torch.tensor([1]), static.batch), torch.float64) if turns else None

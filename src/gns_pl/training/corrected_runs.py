@@ -29,8 +29,8 @@ from gns_pl.mpm import SimulationError
 from gns_pl.rollout import static_of
 from gns_pl.solvers.correction import CoarseStart, corrected_run
 from gns_pl.training.config import CorrectedRunsConfig
-from gns_pl.training.followed import StepNumbers
 from gns_pl.training.deposits import deposit_errors
+from gns_pl.training.followed import StepNumbers
 from gns_pl.training.learning import LearningModule
 from gns_pl.training.module import learning_rate_factor
 from gns_pl.training.outcomes import ERRORS, compared_frames, outcome_errors

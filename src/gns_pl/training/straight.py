@@ -34,9 +34,7 @@ DECAY = (9.3, 6.7)
 """Rates at which a velocity given is lost: of a slow point, and by how much less a fast one loses it [1/s]."""
 
 
-def straight_run(
-    corrector: Corrector, start: CoarseStart, num_steps: int, turn: Symmetry | None = None
-) -> Tensor:
+def straight_run(corrector: Corrector, start: CoarseStart, num_steps: int, turn: Symmetry | None = None) -> Tensor:
     """Return the positions of every frame of a corrected run, with derivatives by the corrector's weights.
 
     Args:
