@@ -45,7 +45,7 @@ def test_what_is_of_two_dimensions_runs_a_column_between_smooth_walls(name: str,
 
 def test_every_name_is_tried_here_or_is_of_three_dimensions() -> None:
     assert {*pretrained_names(), *ALIASES.values()} == {"collapse", "collapse_plane", "friction_plane"}
-    assert corrector_names() == ["corrected_plane"]
+    assert corrector_names() == ["corrected", "corrected_plane"]
 
 
 @pytest.mark.parametrize("name", ["column-fast-plane", "corrected_plane"])

@@ -14,12 +14,13 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
+from gns_pl.fields import MATERIAL_FEATURES
 from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph
 from gns_pl.graph.radius import advised_radius
 from gns_pl.io import atomic_path
@@ -29,6 +30,12 @@ from gns_pl.nn import EncodeProcessDecode, in_float32
 
 KEY = "gns_pl_corrector"
 FORMAT_VERSION = 1
+
+STILL = 0.1
+"""Of the velocity threshold: what is slower gets no correction at all, where corrections are bounded."""
+
+TINY = 1e-12
+"""Square of a speed [m²/s²] below which its derivative is cut off."""
 
 PREFIX = "corrector."
 """Of its weights in the checkpoints of a training."""
@@ -52,6 +59,11 @@ class CorrectorConfig:
         num_message_passing_steps: number of interaction networks.
         velocity_threshold: share of the velocity scale; the correction of a point of this speed is halved, and it
             vanishes with the speed: what rests is left alone.
+        coarse: {"cells", "factors"} of a coarse run of its own points, its cells √(L0 H0) over "cells" and its scalars
+            retuned (`solvers.retuned`); spacing and radius are then in spacings of these points, and `mpm` has no cell
+            size. None: a run on cells of one size, with the points of the data.
+        largest: bound of a correction, in tan φ g Δt, what friction takes from a sliding point until the next one; such
+            a correction is along a point's own horizontal motion, or against it. None for a vector without a bound.
 
     Raises:
         InputError: a value out of range.
@@ -66,10 +78,12 @@ class CorrectorConfig:
     num_mlp_layers: int
     num_message_passing_steps: int
     velocity_threshold: float
+    coarse: Mapping[str, Any] | None = None
+    largest: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("interval", "spacing", "connectivity_radius", "velocity_threshold"):
-            if not getattr(self, name) > 0:
+        for name in ("interval", "spacing", "connectivity_radius", "velocity_threshold", "largest"):
+            if getattr(self, name) is not None and not getattr(self, name) > 0:
                 raise InputError(f"model.{name} must be positive, not {getattr(self, name)}.")
         if self.connectivity_radius < self.spacing:
             raise InputError(
@@ -84,9 +98,11 @@ class CorrectorConfig:
         Raises:
             InputError: an unknown or missing key, or a value out of range.
         """
-        known, given = {field.name for field in dataclasses.fields(cls)}, set(data)
+        fields = dataclasses.fields(cls)
+        known, given = {field.name for field in fields}, set(data)
+        needed = {field.name for field in fields if field.default is dataclasses.MISSING}
         wrong = [f"unknown key {name}" for name in sorted(given - known)]
-        wrong += [f"missing key {name}" for name in sorted(known - given)]
+        wrong += [f"missing key {name}" for name in sorted(needed - given)]
         if wrong:
             raise InputError(f"model: {', '.join(wrong)}; known are {', '.join(sorted(known))}.")
         return cls(**data)
@@ -100,7 +116,7 @@ class Corrector(nn.Module):
 
     Attributes:
         velocity_scale: root mean square of a velocity component [] [m/s].
-        correction_scale: the same of what the coarse run misses [] [m/s].
+        correction_scale: the same of what the coarse run misses [] [m/s]; of no account where corrections are bounded.
     """
 
     velocity_scale: Tensor
@@ -118,13 +134,19 @@ class Corrector(nn.Module):
         self.network = EncodeProcessDecode(
             node_width=width + config.dim,
             edge_width=edge_width(config.dim),
-            output_width=config.dim,
+            output_width=config.dim if config.largest is None else 1,
             latent_size=config.latent_size,
             num_mlp_layers=config.num_mlp_layers,
             num_message_passing_steps=config.num_message_passing_steps,
         )
+        if config.coarse is not None:  # an untrained one leaves the coarse run as it is
+            last = cast(nn.Linear, self.network.decoder[-1])
+            nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
 
-    def forward(self, before: Tensor, position: Tensor, predicted: Tensor, static: SceneBatch) -> Tensor:
+    def forward(
+        self, before: Tensor, position: Tensor, predicted: Tensor, static: SceneBatch, unit: float = 1.0
+    ) -> Tensor:
         """Return the velocities to add [N, D] [m/s].
 
         Args:
@@ -132,29 +154,42 @@ class Corrector(nn.Module):
             position: positions from which the coarse run went on [N, D] [m].
             predicted: where it has brought the points [N, D] [m].
             static: the scenes.
+            unit: of `config.spacing` and `config.connectivity_radius` [m].
         """
         config, dtype = self.config, self.velocity_scale.dtype
+        radius, spacing = config.connectivity_radius * unit, config.spacing * unit
         before, position, predicted = (each.to(dtype) for each in (before, position, predicted))
         static = static.in_precision(dtype)
         velocity = (predicted - position) / config.interval
-        edge_index = radius_graph(predicted, config.connectivity_radius, static.batch, num_graphs=static.num_graphs)
+        threshold = config.velocity_threshold * self.velocity_scale
+        flow = velocity if config.largest is None else velocity[:, :-1]
+        speed = (flow.square().sum(dim=1, keepdim=True) + TINY).sqrt()
+        if config.largest is not None:
+            direction, speed = flow / speed, (speed - STILL * threshold).clamp_min(0)
+            if not bool((speed > 0).any()):
+                return 0 * predicted  # and a derivative of zero
+        edge_index = radius_graph(predicted, radius, static.batch, num_graphs=static.num_graphs)
         node = node_features(
             velocity[:, None],
             predicted,
             static,
             velocity_scale=self.velocity_scale,
-            radius=config.connectivity_radius,
-            spacing=config.spacing,
+            radius=radius,
+            spacing=spacing,
             particle_types=(0,),
             material_scale=self.velocity_scale.new_zeros(2, 0),
             context=True,
         )
         change = (predicted - 2 * position + before) / (config.interval * self.velocity_scale)
-        edge = edge_features(predicted, edge_index, config.connectivity_radius)
+        edge = edge_features(predicted, edge_index, radius)
         output: Tensor = self.network(torch.cat([node, change], dim=1), edge, edge_index)
-        speed = velocity.norm(dim=1, keepdim=True)
-        moving: Tensor = speed / (speed + config.velocity_threshold * self.velocity_scale)
-        return output * moving * self.correction_scale
+        moving: Tensor = speed / (speed + threshold)
+        if config.largest is None:
+            return output * moving * self.correction_scale
+        friction = static.material[:, MATERIAL_FEATURES.index("tan_friction_angle"), None]
+        gravity = static.of_particles(static.gravity.norm(dim=1, keepdim=True))
+        along = output.tanh() * moving * (config.largest * config.interval * friction * gravity)
+        return torch.cat([along * direction, torch.zeros_like(along)], dim=1)
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gns_pl.models.corrector import Corrector
-from gns_pl.mpm.settings import stepped_run
+from gns_pl.models.corrector import Corrector, CorrectorConfig
+from gns_pl.mpm.settings import place_points, solver_config, stepped_run
 from gns_pl.rollout.engine import static_of
-from gns_pl.scene import Particles
-from gns_pl.trajectory import Trajectory
+from gns_pl.scene import Particles, Scene
+from gns_pl.solvers.reduction import Reduction, halve_scene
+from gns_pl.solvers.retuned import MPMFactors, RetunedMPMSolver
+from gns_pl.trajectory import Trajectory, start_trajectory
 
 Floats = NDArray[np.float32]
 
@@ -51,35 +53,88 @@ def points_of(trajectory: Trajectory, frame: int = 0) -> Particles:
     )
 
 
-def corrected_run(corrector: Corrector, start: Trajectory, num_steps: int) -> Trajectory:
-    """Return a coarse run with corrections, from the first frame of `start`.
+@dataclass(frozen=True)
+class CoarseStart:
+    """Where a coarse run begins, and how it goes on.
+
+    Attributes:
+        first: its first frame; with the scene that is run.
+        points: that move.
+        mpm: settings of the run, as `MPMConfig`.
+        unit: of the corrector's lengths [m].
+        reduction: that led to the scene which is run.
+    """
+
+    first: Trajectory
+    points: Particles
+    mpm: Mapping[str, Any]
+    unit: float
+    reduction: Reduction
+
+    @classmethod
+    def of(cls, corrector: Corrector, first: Trajectory) -> CoarseStart:
+        """Return the start of a run on cells of one size, from the first frame of a trajectory."""
+        reduction = Reduction(first.scene, lambda trajectory: trajectory, "")
+        return cls(first, points_of(first), corrector.config.mpm, 1.0, reduction)
+
+    @classmethod
+    def retuned(cls, config: CorrectorConfig, scene: Scene, seed: int, facts: Mapping[str, object]) -> CoarseStart:
+        """Return the start of a run whose cells and scalars are those of `config.coarse`.
+
+        Args:
+            config: of a corrector with such a coarse run.
+            scene: that is wanted; halves of it are run where it is mirrored.
+            seed: of the placement.
+            facts: for the provenance.
+
+        Raises:
+            InputError: settings that the solver refuses.
+        """
+        coarse = coarse_solver(config)
+        mpm = coarse.settings_of(scene)
+        reduction = coarse.retuned(halve_scene(scene), scene)
+        points = place_points(reduction.scene, mpm, seed)
+        first = start_trajectory(reduction.scene, points, config.interval, dict(facts))
+        return cls(first, points, mpm, solver_config(mpm).spacing, reduction)
+
+
+def coarse_solver(config: CorrectorConfig) -> RetunedMPMSolver:
+    """Return the coarse run of a corrector as a solver of its own, without corrections."""
+    assert config.coarse is not None
+    factors = MPMFactors(**config.coarse["factors"])
+    return RetunedMPMSolver("coarse", float(config.coarse["cells"]), config.mpm, factors=factors)
+
+
+def corrected_run(corrector: Corrector, start: Trajectory | CoarseStart, num_steps: int) -> Trajectory:
+    """Return a coarse run with corrections.
 
     Args:
         corrector: with the settings of the run.
-        start: scene, placement and initial velocities.
+        start: scene, placement and initial velocities; of a trajectory its first frame.
         num_steps: frames to add, the corrector's interval apart.
 
     Raises:
         SimulationError: the run became unstable.
     """
     began = time.perf_counter()
+    start = start if isinstance(start, CoarseStart) else CoarseStart.of(corrector, start)
     frames = [position for _, position, _ in corrected_frames(corrector, start, num_steps)]
-    provenance = {**start.provenance, "wall_seconds": time.perf_counter() - began}
-    return replace(start, position=np.stack(frames), dt=corrector.config.interval, provenance=provenance)
+    provenance = {**start.first.provenance, "wall_seconds": time.perf_counter() - began}
+    return replace(start.first, position=np.stack(frames), dt=corrector.config.interval, provenance=provenance)
 
 
 State = dict[str, NDArray[Any]]
 
 
 def corrected_frames(
-    corrector: Corrector, start: Trajectory, num_steps: int, saved: Mapping[str, NDArray[Any]] | None = None
+    corrector: Corrector, start: CoarseStart, num_steps: int, saved: Mapping[str, NDArray[Any]] | None = None
 ) -> Iterator[tuple[int, Floats, Callable[[], State]]]:
     """Run with corrections, frame by frame.
 
     Args:
         corrector: as of `corrected_run`.
-        start: likewise.
-        num_steps: likewise.
+        start: scene, placement and initial velocities.
+        num_steps: as of `corrected_run`.
         saved: what the third of an earlier frame's values returned, to go on from there to the same bits.
 
     Yields:
@@ -89,8 +144,8 @@ def corrected_frames(
     Raises:
         SimulationError: the run became unstable.
     """
-    config, static = corrector.config, static_of(start)
-    run = stepped_run(start.scene, config.mpm, points_of(start), config.interval)
+    config, static = corrector.config, static_of(start.first)
+    run = stepped_run(start.first.scene, start.mpm, start.points, config.interval)
     before, first = run.position - run.velocity * config.interval, 0
     if saved is not None:
         run.restore(saved)
@@ -102,7 +157,7 @@ def corrected_frames(
             predicted = run.position
             arrays = (torch.from_numpy(array.astype(np.float32)) for array in (before, position, predicted))
             with torch.inference_mode():
-                run.add_velocity(corrector(*arrays, static).numpy())
+                run.add_velocity(corrector(*arrays, static, start.unit).numpy())
             before = position
         here = {"before": before, "frame": np.array(frame)}
         yield frame, run.position.astype(np.float32), lambda: {**run.saved(), **here}  # noqa: B023

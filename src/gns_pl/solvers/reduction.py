@@ -34,12 +34,14 @@ class Reduction:
         lift: makes of its trajectory one of the original scene.
         description: what was done and why it may be; empty if nothing was.
         across: axis that a slice lacks; None if it is none.
+        mirrors: axes across the mirrors of a half, in the order in which it was halved.
     """
 
     scene: Scene
     lift: Callable[[Trajectory], Trajectory]
     description: str
     across: int | None = None
+    mirrors: tuple[int, ...] = ()
 
     def project(self, position: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the positions of one layer of a lifted slice [T, N, 2] [m]; what came in if this is no slice.
@@ -75,20 +77,26 @@ def reduce_scene(scene: Scene) -> Reduction:
     for axis in (1, 0):
         if scene.dim == 3 and not_plane_reason(scene, axis) is None:
             return to_plane(scene, axis)
-    whole, lifts, words = scene, [], []
+    return halve_scene(scene)
+
+
+def halve_scene(scene: Scene) -> Reduction:
+    """Return a half of a scene for each mirror plane, or the scene itself."""
+    whole, lifts, words, mirrors = scene, [], [], []
     for axis in range(scene.dim - 1):
         if not_mirror_reason(scene, axis) is None:
             half = to_half(scene, axis)
             scene = half.scene
             lifts.append(half.lift)
             words.append(half.description)
+            mirrors.append(axis)
 
     def lift(trajectory: Trajectory) -> Trajectory:
         for each in reversed(lifts):
             trajectory = each(trajectory)
         return replace(trajectory, scene=whole)
 
-    return Reduction(scene, lift, "; ".join(words))
+    return Reduction(scene, lift, "; ".join(words), mirrors=tuple(mirrors))
 
 
 def not_plane_reason(scene: Scene, axis: int = 1) -> str | None:

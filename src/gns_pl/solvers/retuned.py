@@ -76,7 +76,10 @@ class RetunedMPMSolver(FittedSolver, MPMSolver):
 
     def reduced(self, scene: Scene) -> Reduction:
         """Return the scene's slice or half with the material and walls that are run; what is lifted has its own."""
-        reduction = super().reduced(scene)
+        return self.retuned(super().reduced(scene), scene)
+
+    def retuned(self, reduction: Reduction, scene: Scene) -> Reduction:
+        """Return a reduction of a scene with the material and walls that are run."""
 
         def lift(trajectory: Trajectory) -> Trajectory:
             return replace(reduction.lift(replace(trajectory, scene=reduction.scene)), scene=scene)

@@ -191,11 +191,57 @@ class CorrectionConfig:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> CorrectionConfig:
         """Build the config from conf/training/correction.yaml's plain form."""
-        nested = {"num_steps", "learning_rate"}
-        known = {field.name for field in dataclasses.fields(cls)} - nested | {"optimisation"}
-        _check_keys("training", data, known)
-        _check_keys("training.optimisation", data["optimisation"], nested)
-        return cls(**{key: data[key] for key in known - {"optimisation"}}, **data["optimisation"])
+        return cls(**_unnested(cls, data))
+
+
+@dataclass(frozen=True)
+class CorrectedRunsConfig:
+    """Everything in conf/training/corrected_runs.yaml.
+
+    Attributes:
+        scenes: run in every step.
+        stride: frames of the data between corrections.
+        num_train: training trajectories of every data set; None for all.
+        placements: in which every validation scene is judged.
+        weights: of the errors of a run, `training.outcomes.ERRORS`.
+        num_steps: training steps in all.
+        learning_rate: its largest value, after the warm-up.
+
+    Raises:
+        InputError: a value out of range.
+    """
+
+    scenes: int
+    stride: int
+    num_train: int | None
+    placements: int
+    weights: Mapping[str, float]
+    num_steps: int
+    learning_rate: float
+
+    def __post_init__(self) -> None:
+        _check("training", self, scenes=1, stride=1, placements=1)
+        _check("training.optimisation", self, num_steps=1, learning_rate=1e-12)
+        if self.num_train is not None:
+            _check("training", self, num_train=1)
+        _check_keys("training.weights", self.weights, set(ERRORS))
+        _check("training.weights", SimpleNamespace(**self.weights), **dict.fromkeys(self.weights, 0.0))
+        if not any(self.weights.values()):
+            raise InputError(f"training.weights: one of {', '.join(ERRORS)} must be above 0.")
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> CorrectedRunsConfig:
+        """Build the config from conf/training/corrected_runs.yaml's plain form."""
+        return cls(**_unnested(cls, data))
+
+
+def _unnested(config: type, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a plain form in which steps and learning rate stand under `optimisation`."""
+    nested = {"num_steps", "learning_rate"}
+    known = {field.name for field in dataclasses.fields(config)} - nested | {"optimisation"}
+    _check_keys("training", data, known)
+    _check_keys("training.optimisation", data["optimisation"], nested)
+    return {**{key: data[key] for key in known - {"optimisation"}}, **data["optimisation"]}
 
 
 def _check_keys(owner: str, data: Mapping[str, Any], known: set[str]) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from gns_pl.models.shipped import is_corrector
 from gns_pl.text import command, override
+from gns_pl.training.validation import DEPOSIT
 
 FORMAT = "gns_pl training summary"
 FORMAT_VERSION = 1
@@ -93,14 +94,15 @@ def described(values: Mapping[str, float | None]) -> str:
         values: errors by their names in `metrics.summary.ERRORS` and `SUMMARY`, without a prefix.
     """
     known = {name: value for name, value in values.items() if value is not None and math.isfinite(value)}
-    if "position_error" not in known:
+    if not {"position_error", "deposit_error"} & known.keys():
         return "rollouts not finite"
-    parts = [f"position error {known['position_error']:.3g} spacings"]
+    parts = [f"position error {known['position_error']:.3g} spacings"] if "position_error" in known else []
     for name, word in (("runout_99_error", "runout"), ("mean_height_error", "mean height")):
         if name in known:
             parts.append(f"{word} {100 * known[name]:+.0f} %")
     if "deposit_error" in known:
-        parts.append(f"deposit off by {100 * known['deposit_error']:.1f} %")
+        roots = [f"{name} {100 * known[f'{name}_rms']:.1f} %" for name in DEPOSIT]
+        parts.append(f"deposit off by {100 * known['deposit_error']:.1f} % ({', '.join(roots)})")
     if "column_runout_error" in known:
         parts.append(f"runout of columns off by {100 * known['column_runout_error']:.1f} %")
     if "speed_mean" in known:

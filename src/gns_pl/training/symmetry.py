@@ -56,10 +56,10 @@ class Symmetry:
             turned = turned + self.offset[batch][:, None]
         return turned.gather(-1, self.order[batch][:, None].expand_as(position))
 
-    def undone(self, position: Tensor, batch: Tensor) -> Tensor:
+    def undone(self, position: Tensor, batch: Tensor, *, vectors: bool = False) -> Tensor:
         """Return positions of several frames before it [N, T, D] [m]; arguments as those of `turned`."""
         back = position.gather(-1, self.order[batch][:, None].expand_as(position))
-        return self.sign[batch][:, None] * (back - self.offset[batch][:, None])
+        return self.sign[batch][:, None] * (back if vectors else back - self.offset[batch][:, None])
 
     def scenes(self, scenes: SceneBatch) -> SceneBatch:
         """Return the scenes after it, box and gravity."""

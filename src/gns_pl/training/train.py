@@ -97,9 +97,9 @@ def find_recipe(settings: Mapping[str, Any]) -> Recipe:
     """
     if settings["model"].get("kind") != CORRECTOR_KIND:
         return SimulatorRecipe(settings)
-    from gns_pl.training.corrector_recipe import CorrectorRecipe
+    from gns_pl.training.corrector_recipe import CorrectorRecipe, RetunedCorrectorRecipe
 
-    return CorrectorRecipe(settings)
+    return RetunedCorrectorRecipe(settings) if settings["model"].get("coarse") else CorrectorRecipe(settings)
 
 
 @in_float32
