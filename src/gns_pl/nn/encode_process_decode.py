@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 from collections.abc import Callable
-from typing import Self, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -99,15 +99,6 @@ class EncodeProcessDecode(LayerStack):
             if self.exchange is not None and layer is not self.processor[-1]:
                 self.exchange(node)
         return cast(Tensor, self.decoder(node))
-
-    def train(self, mode: bool = True) -> Self:
-        """Set the mode; what was made of the weights before is made anew.
-
-        An average of weights takes their place and gives it back through `.data` (Lightning's `WeightAveraging`, around
-        a validation), which their version does not tell.
-        """
-        self._fused_key = self._packed_key = ()
-        return super().train(mode)
 
     def _fuses(self, node: Tensor, edge_index: Tensor) -> bool:
         """Return whether the kernels of `nn.fused` can make this pass."""
