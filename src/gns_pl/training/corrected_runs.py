@@ -74,7 +74,9 @@ class FineRuns(TrajectoryDataModule):
         train = [d / name for d, manifest in manifests for name in manifest.splits["train"][: training.num_train]]
         valid = [d / name for d, manifest in manifests for name in manifest.splits["valid"]]
         self.train_names, self.valid_names = tuple(map(str, train)), tuple(map(str, valid))
-        self.train_set = [read_fine_run(path, self.stride) for path in train]  # type: ignore[assignment]
+        self.train_set: list[FineRun] = [  # type: ignore[assignment]
+            read_fine_run(path, self.stride) for path in train
+        ]
         self.valid_set = [read_fine_run(path, self.stride) for path in valid]
 
     def setup(self, stage: str) -> None:
@@ -89,7 +91,7 @@ class FineRuns(TrajectoryDataModule):
         numbers: Any = range(self.num_steps)
         return DataLoader(numbers, sampler=StepNumbers(self._steps_made, self.num_steps), batch_size=None)
 
-    def val_dataloader(self) -> DataLoader[int]:
+    def val_dataloader(self) -> DataLoader[int]:  # type: ignore[override]
         """Return the numbers of the validation scenes."""
         numbers: Any = range(len(self.valid_set))
         return DataLoader(numbers, batch_size=None)
@@ -133,6 +135,14 @@ class CorrectedRunsModule(LearningModule):
     def skips_non_finite(self) -> bool:
         """Whole runs break now and then."""
         return True
+
+    def on_train_batch_start(self, batch: int, batch_index: int) -> None:
+        """Count the weights as changed: those that a validation has put back are packed anew (`nn.packed`).
+
+        Averages are swapped in and out without a trace that the packed network could see.
+        """
+        with torch.no_grad():
+            torch._foreach_mul_(list(self.parameters()), 1.0)
 
     def loss(self, batch: int) -> Tensor:
         """Return the weighted errors of a step's runs []."""
