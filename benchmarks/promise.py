@@ -1,17 +1,21 @@
 """How often `simulate.py tolerance=…` keeps its promise: every choice is run from placements that no table has seen.
 
     python benchmarks/promise.py                 # measure what docs/promise.csv lacks; write into docs/simulate.md
+    python benchmarks/promise.py --of front map  # of other quantities than the worse of front and map
     python benchmarks/promise.py --from-table    # write the table again
 
 Scenes are those of the chart (conf/evaluation), and columns between its two, of which no solver was measured. The
 solver is chosen as `simulate.py` chooses it, by the package's records; its run is judged as the chart judges, by the
-worse of front and map, against the same references. A promise holds if the largest error of three placements is within
-the tolerance. Where no error is promised (the scene is like none that was measured), what was chosen is judged too.
+quantity of the tolerance, against the same references. A promise holds if the largest error of three placements is
+within the tolerance. Where no error is promised (the scene is like none that was measured), what was chosen is judged
+too.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -29,7 +33,7 @@ from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.io.tables import read_table, write_table
 from gns_pl.scene import Scene
 from gns_pl.solvers.catalogue import make_solvers
-from gns_pl.solvers.selection import RECORDS, choose, estimate, kind_of, read_records
+from gns_pl.solvers.selection import QUANTITIES, RECORDS, WORSE, choose, estimate, kind_of, read_records, with_worse
 
 ROOT = Path(__file__).parents[1]
 TABLE, PAGE = ROOT / "docs" / "promise.csv", ROOT / "docs" / "simulate.md"
@@ -52,6 +56,8 @@ class Row:
         map_error: the largest.
         expected_seconds: of a run.
         seconds: the mean.
+        of: the quantity of the tolerance (`selection.QUANTITIES`).
+        height_error: the largest of the final mean height, signed; NaN in tables from before it was measured.
     """
 
     scene: str
@@ -63,11 +69,14 @@ class Row:
     map_error: float
     expected_seconds: float
     seconds: float
+    of: str = WORSE
+    height_error: float = math.nan
 
     @property
     def error(self) -> float:
-        """The worse of front and map."""
-        return max(abs(self.front_error), self.map_error)
+        """That in the quantity of the tolerance."""
+        errors = {"front": abs(self.front_error), "map": self.map_error, "height": abs(self.height_error)}
+        return with_worse(errors)[self.of]
 
     @property
     def outcome(self) -> str:
@@ -127,46 +136,55 @@ def judged_scenes() -> Iterator[tuple[Scene, Converged]]:
             )
 
 
-def measure(known: list[Row]) -> list[Row]:
-    """Return all rows, measuring what is not known."""
+def measure(known: list[Row], quantities: list[str]) -> list[Row]:
+    """Return all rows, measuring what is not known of these quantities."""
     solvers, records = make_solvers(settings()["choice"]), read_records(RECORDS)
-    there = {(row.scene, row.kind, row.tolerance): row for row in known}
+    there = {(row.scene, row.kind, row.of, row.tolerance): row for row in known}
     for scene, reference in judged_scenes():
-        runs: dict[str, tuple[float, float, float]] = {}
-        for tolerance in TOLERANCES:
-            key = (scene.name, kind_of(scene), tolerance)
+        runs: dict[str, dict[str, float]] = {}
+        options = estimate(scene, solvers, records)
+        for of, tolerance in itertools.product(quantities, TOLERANCES):
+            key = (scene.name, kind_of(scene), of, tolerance)
             if key not in there:
-                there[key] = row = judge(scene, reference, tolerance, estimate(scene, solvers, records), runs)
-                print(f"{row.scene} ({row.kind}) {tolerance:g}: {row.solver or 'none'} {row.error:.3f} {row.outcome}")
+                there[key] = row = judge(scene, reference, tolerance, of, options, runs)
+                what = f"{row.scene} ({row.kind}) {tolerance:g} {of}"
+                print(f"{what}: {row.solver or 'none'} {row.error:.3f} {row.outcome}", flush=True)
                 write_table(TABLE, Row, there.values(), digits=4)
     return list(there.values())
 
 
-def judge(scene: Scene, reference: Converged, tolerance: float, options: Any, runs: dict[str, Any]) -> Row:
+def judge(
+    scene: Scene, reference: Converged, tolerance: float, of: str, options: Any, runs: dict[str, dict[str, float]]
+) -> Row:
     """Return what becomes of a tolerance; `runs` holds those of solvers that were chosen for the scene before."""
-    nothing = float("nan")
     try:
-        option, _ = choose(options, tolerance)
+        option, _ = choose(options, tolerance, of)
     except InputError:
-        return Row(scene.name, kind_of(scene), tolerance, "", nothing, nothing, nothing, nothing, nothing)
+        nothing = dict.fromkeys(("expected", "front_error", "map_error", "expected_seconds", "seconds"), math.nan)
+        return Row(scene.name, kind_of(scene), tolerance, "", of=of, **nothing)
     solver = option.solver
     if solver.name not in runs:
         solver.run(scene_of(solver, reference), interval=reference.interval, seed=SEEDS[0])  # compiles
         timed = [timed_run(solver, reference, seed) for seed in SEEDS]
         errors = [reference.errors(made) for made, _, _ in timed]
-        runs[solver.name] = (
-            max((each["front_error"] for each in errors), key=abs),
-            max(each["map_error"] for each in errors),
-            sum(seconds for _, seconds, _ in timed) / len(timed),
-        )
-    front, misplaced, seconds = runs[solver.name]
-    expected = nothing if option.error is None else option.error
-    time = nothing if option.seconds is None else option.seconds
-    return Row(scene.name, kind_of(scene), tolerance, solver.name, expected, front, misplaced, time, seconds)
+        names = ("front_error", "map_error", "height_error")
+        runs[solver.name] = {name: max((each[name] for each in errors), key=abs) for name in names}
+        runs[solver.name]["seconds"] = sum(seconds for _, seconds, _ in timed) / len(timed)
+    expected = option.errors.get(of, math.nan)
+    time = math.nan if option.seconds is None else option.seconds
+    return Row(
+        scene.name, kind_of(scene), tolerance, solver.name, expected, expected_seconds=time, of=of, **runs[solver.name]
+    )
+
+
+def tables(rows: list[Row]) -> str:
+    """Return choices and outcomes of every quantity that was asked for as Markdown."""
+    found = {of: [row for row in rows if row.of == of] for of in (WORSE, *QUANTITIES)}
+    return "\n\n".join(table(rows) for rows in found.values() if rows)
 
 
 def table(rows: list[Row]) -> str:
-    """Return choices and outcomes as Markdown."""
+    """Return choices and outcomes of one quantity as Markdown."""
     names = list(dict.fromkeys((row.kind, row.scene) for row in rows))
     found = {(row.kind, row.scene, row.tolerance): row for row in rows}
     head = ["scene", *(f"{100 * tolerance:g} %" for tolerance in TOLERANCES)]
@@ -177,7 +195,7 @@ def table(rows: list[Row]) -> str:
     number = {outcome: sum(row.outcome == outcome for row in rows) for outcome in {row.outcome for row in rows}}
     promised = number.get("held", 0) + number.get("broken", 0)
     said = (
-        f"**The promise held in {number.get('held', 0)} of {promised} cases.** "
+        f"**In the {QUANTITIES[rows[0].of]} the promise held in {number.get('held', 0)} of {promised} cases.** "
         f"{number.get('refused', 0)} tolerances were refused as below what any solver reaches"
     )
     free = number.get("unpromised, within", 0) + number.get("unpromised, beyond", 0)
@@ -198,13 +216,15 @@ def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--from-table", action="store_true", help="measure nothing")
+    parser.add_argument("--of", nargs="+", choices=QUANTITIES, default=[WORSE], help="quantities of the tolerances")
+    asked = parser.parse_args()
     known = read_table(TABLE, Row, "is no table of promises") if TABLE.exists() else []
-    rows = known if parser.parse_args().from_table else measure(known)
+    rows = known if asked.from_table else measure(known, asked.of)
     text = PAGE.read_text(encoding="utf-8")
     marked = re.compile(r"(<!-- promise -->\n).*?(\n<!-- /promise -->)", re.DOTALL)
     if not marked.search(text):
         raise SystemExit(f"{PAGE}: has no <!-- promise --> to fill.")
-    PAGE.write_text(marked.sub(lambda match: match[1] + table(rows) + match[2], text), encoding="utf-8")
+    PAGE.write_text(marked.sub(lambda match: match[1] + tables(rows) + match[2], text), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -120,7 +120,7 @@ def row(number: int, truth: tuple[float, float], method: str, fit: Fit, rollouts
         "truth": number, "method": method, "angle_deg": f"{angle:.2f}", "speed": f"{truth[1]:.3f}",
         "found_angle_deg": f"{found:.2f}", "found_speed": f"{fit.unknowns[1]:.3f}", "misfit": f"{fit.misfit:.2e}",
         "evaluations": fit.evaluations, "rollouts": rollouts, "seconds": f"{fit.seconds:.1f}",
-        "cpu_seconds": f"{fit.cpu_seconds:.1f}",
+        "cpu_seconds": f"{fit.cpu_seconds:.3g}",
     }  # fmt: skip
 
 

@@ -17,7 +17,10 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 F = TypeVar("F", bound=Callable[..., Any])
 NEAREST = "gns_pl.nearest"
@@ -165,6 +168,19 @@ def compile_function(function: F, subfolder: str = "", **options: Any) -> F:
         numba.config.CACHE_DIR = before
     compiled._cache._guard_against_spurious_io_errors = _compile_anew
     return cast(F, compiled)
+
+
+def compiles(*tensors: Tensor) -> bool:
+    """Return whether compiled loops take tensors: float32, on the CPU, none of which wants a derivative.
+
+    Neither torch's compiler nor an exported program sees into a loop.
+    """
+    import torch
+
+    if torch.compiler.is_exporting() or torch.compiler.is_compiling():
+        return False
+    known = all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
+    return known and not any(tensor.requires_grad for tensor in tensors)
 
 
 @contextlib.contextmanager

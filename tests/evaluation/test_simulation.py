@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
@@ -14,10 +17,12 @@ from gns_pl.errors import InputError
 from gns_pl.evaluation import references, solver_alone
 from gns_pl.evaluation.evaluate import evaluate_config
 from gns_pl.evaluation.run_report import ReportedRun, write_report
-from gns_pl.evaluation.simulation import simulate_and_describe
-from gns_pl.io import read_trajectory
+from gns_pl.evaluation.simulation import compare_with_check, simulate_and_describe
+from gns_pl.io import read_trajectory, write_trajectory
 from gns_pl.metrics.curves import read_curves
+from gns_pl.metrics.maps import map_error, volume_map
 from gns_pl.scene import FACES, Body, Scene, Wall, write_scene
+from gns_pl.solvers.simulate import check_path
 from tests.evaluation.made_up import column, spreading, standing
 
 CONF = str(Path(__file__).parents[2] / "conf")
@@ -57,6 +62,45 @@ def test_mpm_on_ones_own_scene_is_told_checked_and_reported(
     found = metrics["scenes"]["column"]
     assert found["summary"]["runout_99"] == pytest.approx(curves["mpm_0.1m.runout_99"][-1], rel=1e-6)
     assert found["outcome"]["volume"] == pytest.approx(0.16, rel=1e-5)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_check_says_of_each_quantity_what_coarser_cells_change(
+    dim: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A deposit that spreads by a fifth less: −20 % in the front, 1.8 / 2 in the height, a tenth or so of it elsewhere.
+
+    In three dimensions it is judged in its slice, to the same numbers.
+    """
+    volumes = []
+    for share in (1.0, 0.8):
+        flat = spreading(column(dim=2), share=share)
+        volumes.append(volume_map(flat.position[-1].astype(np.float64), flat.volume().astype(np.float64), flat.scene))
+    elsewhere = map_error(volumes[1], volumes[0])
+    assert elsewhere == pytest.approx(0.1, abs=0.03)
+    path = tmp_path / "column.h5"
+    for file, share, cell in ((path, 1.0, 0.1), (check_path(path), 0.8, 0.15)):
+        run = spreading(column(dim=dim), share=share)
+        write_trajectory(file, replace(run, provenance={"mpm": {"cell_size": cell}}))
+    for of, tolerance, judged in (
+        ("worse", 0.3, "more than the tolerance of 30 % in the worse of front and map; .* solver=mpm cell_size=0.075"),
+        ("front", 0.41, "within the tolerance of 41 % in the front"),
+        ("map", 0.3, "within the tolerance of 30 % in the map"),
+        ("height", 0.2, "more than the tolerance of 20 % in the mean height; .* cell_size=0.09"),
+    ):
+        compare_with_check(path, tolerance, of)
+        found = re.search(
+            r"errs by 40\.0 % in the front, (.*) % in the map and 22\.2 % in the mean height, " + judged, told(capsys)
+        )
+        assert found is not None and float(found[1]) == pytest.approx(200 * elsewhere, abs=0.06)
+    compare_with_check(path, None)
+    assert told(capsys).endswith("% in the mean height.\n")
+    compare_with_check(tmp_path / "none.h5", None)
+    assert told(capsys) == ""
+
+
+def told(capsys: pytest.CaptureFixture[str]) -> str:
+    return capsys.readouterr().out
 
 
 def test_a_run_without_gravity_keeps_its_result(small: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Features without gradients, which compiled loops make on a CPU, against those with gradients, which torch makes."""
+"""Features without a derivative, which compiled loops make on a CPU, against those with one, which torch makes."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ def features(velocity: Tensor, position: Tensor, scenes: SceneBatch, **changes: 
 @pytest.mark.parametrize("changes", [{}, {"context": False}, {"particle_types": (6,)}])
 def test_nodes(dim: int, boxes: int, changes: dict[str, Any]) -> None:
     velocity, position, scenes = make_scenes(dim, boxes)
-    expected = features(velocity, position, scenes, **changes)
-    with torch.inference_mode():
-        got = features(velocity, position, scenes, **changes)
-    torch.testing.assert_close(got, expected, atol=1e-5, rtol=2e-6)
+    got = features(velocity, position, scenes, **changes)
+    assert not got.requires_grad
+    expected = features(velocity, position.requires_grad_(), scenes, **changes)
+    assert expected.requires_grad
+    torch.testing.assert_close(got, expected.detach(), atol=1e-5, rtol=2e-6)
 
 
 def test_a_box_whose_nodes_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gns_pl.graph.context, "DENSE_NODES", 10)
     velocity, position, scenes = make_scenes(3, 2)
-    expected = features(velocity, position, scenes)
-    with torch.no_grad():
-        assert torch.equal(features(velocity, position, scenes), expected)
+    got = features(velocity, position, scenes)
+    assert torch.equal(got, features(velocity, position.requires_grad_(), scenes))
 
 
 def test_double_precision_stays() -> None:
@@ -73,12 +73,12 @@ def test_double_precision_stays() -> None:
 def test_edges(dim: int) -> None:
     _, position, _ = make_scenes(dim, 1)
     edge_index = radius_graph(position, RADIUS)
-    expected = edge_features(position, edge_index, RADIUS)
-    with torch.no_grad():
-        got = edge_features(position, edge_index, RADIUS)
-        assert edge_features(position, edge_index[:, :0], RADIUS).shape == (0, dim + 1)
-    torch.testing.assert_close(got, expected, atol=1e-6, rtol=0)
+    got = edge_features(position, edge_index, RADIUS)
     assert not got.requires_grad
+    assert edge_features(position, edge_index[:, :0], RADIUS).shape == (0, dim + 1)
+    expected = edge_features(position.requires_grad_(), edge_index, RADIUS)
+    assert expected.requires_grad
+    torch.testing.assert_close(got, expected.detach(), atol=1e-6, rtol=0)
 
 
 def test_a_position_that_is_not_finite_breaks_nothing_else() -> None:

@@ -15,7 +15,7 @@ import pytest
 from gns_pl.errors import InputError
 from gns_pl.io import StorageError, read_header, read_trajectory, write_trajectory
 from gns_pl.io.hdf5 import GROWING
-from gns_pl.io.stream import TrajectoryStream, find_frames, go_on
+from gns_pl.io.stream import TrajectoryStream, add_provenance, find_frames, go_on
 from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 from tests.conftest import make_moving
@@ -64,6 +64,19 @@ def test_going_on_takes_every_whole_frame(moving: Trajectory, tmp_path: Path) ->
     stream.finish({})
     np.testing.assert_array_equal(read_trajectory(path).position, moving.position)
     assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_provenance_can_be_added_to_and_nothing_else_changes(moving: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    write_trajectory(path, replace(moving, provenance={"solver": "x", "choice": 1}))
+    add_provenance(path, {"choice": {"of": "front"}})
+    back = read_trajectory(path)
+    assert back.provenance == {"solver": "x", "choice": {"of": "front"}} and back.scene == moving.scene
+    np.testing.assert_array_equal(back.position, moving.position)
+    before = path.stat()
+    add_provenance(path, {"choice": {"of": "front"}})
+    add_provenance(path, {})
+    assert path.stat() == before and [file.name for file in tmp_path.iterdir()] == ["a.h5"]
 
 
 def test_a_finished_file_can_be_lengthened_and_stays_until_it_is(moving: Trajectory, tmp_path: Path) -> None:

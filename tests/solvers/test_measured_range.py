@@ -135,7 +135,7 @@ def test_an_error_is_that_of_scenes_of_the_same_kind(tmp_path: Path) -> None:
     ways = [MPMSolver("mpm_10.2", 10.2, MPM)]
     for scene, error in ((corner, 0.2), (with_time(other), 0.1)):
         [option] = estimate(scene, ways, records)
-        assert (option.error, option.measured_error) == (error, 0.2)
+        assert (option.error, option.measured_errors["worse"]) == (error, 0.2)
         assert choose([option], error)[0] is option
         with pytest.raises(InputError, match="the smallest tolerance that can be met"):
             choose([option], 0.9 * error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +177,65 @@ def test_the_cheapest_that_is_accurate_enough(learned: LearnedSolver) -> None:
         choose(estimate(scene, solvers, []), 0.1)
 
 
+def test_a_tolerance_is_of_one_quantity(learned: LearnedSolver) -> None:
+    """One that has the front alone is promised for the front alone; the worst of several runs counts in each."""
+    scene = column()
+    solvers = [learned, MPMSolver("coarse", 5, MPM), MPMSolver("fine", 20, MPM)]
+    seconds = {"flat": 0.1, "coarse": 0.2, "fine": 0.3}
+    work = {solver.name: solver.cost(scene) for solver in solvers}
+    errors = {"flat": (-0.04, 0.2, 0.09), "coarse": (0.3, 0.05, -0.3), "fine": (0.01, 0.01, 0.05)}
+    records = [
+        replace(
+            record(name, "plane", part * front, seconds[name], work[name]),
+            map_error=misplaced,
+            height_error=part * height,
+        )
+        for name, (front, misplaced, height) in errors.items()
+        for part in (0.5, 1.0)
+    ]
+    options = estimate(scene, solvers, records)
+    assert {option.solver.name: dict(option.errors) for option in options} == {
+        "flat": {"front": 0.04, "map": 0.2, "height": 0.09, "worse": 0.2},
+        "coarse": {"front": 0.3, "map": 0.05, "height": 0.3, "worse": 0.3},
+        "fine": {"front": 0.03, "map": 0.02, "height": 0.05, "worse": 0.03},  # the reference is not better
+    }
+    row = next(line for line in table(options, scene).splitlines() if line.startswith("flat"))
+    assert row.split()[-8:-2] == ["4.0", "%", "20.0", "%", "9.0", "%"]
+    for of, tolerance, name, words in (
+        (
+            "front",
+            0.05,
+            "flat",
+            "of 2 that meet 5 % in the front; without a promise: up to 20.0 % in the map and 9.0 %",
+        ),
+        (
+            "map",
+            0.05,
+            "coarse",
+            "of 2 that meet 5 % in the map; without a promise: up to 30.0 % in the front and 30.0 %",
+        ),
+        ("height", 0.1, "flat", "of 2 that meet 10 % in the mean height; without a promise: up to 4.0 % in the front"),
+        ("height", 0.05, "fine", "of 1 that meet 5 % in the mean height; "),
+        ("worse", 0.05, "fine", "of 1 that meet 5 % in the worse of front and map; without a promise: up to 5.0 % in"),
+    ):
+        chosen, why = choose(options, tolerance, of)
+        assert chosen.solver.name == name and f"the cheapest {words}" in why
+    for of, least in (("front", "0.03"), ("map", "0.02"), ("height", "0.05"), ("worse", "0.03")):
+        words = {"height": "mean height", "worse": "worse of front and map"}.get(of, of)
+        with pytest.raises(InputError, match=rf"by more in the {words} on .* can be met is {least} \(by fine\)"):
+            choose(options, 0.01, of)
+    with pytest.raises(InputError, match=r"one of front, map, height, worse, not 'hight' \(did you mean height\?\)"):
+        choose(options, 0.1, "hight")
+    # Where only some were measured by their map, the others are left out; where the map was measured elsewhere, nobody
+    # knows it here.
+    bare = [replace(each, map_error=math.nan) if each.solver == "coarse" else each for each in records]
+    options = estimate(scene, solvers, bare)
+    assert choose(options, 0.1, "map")[0].solver.name == "fine" and "    –" in table(options, scene)
+    elsewhere = [replace(each, setup=setup_text(column(duration=9.0, gravity=(1.0, 0.0, -9.0)))) for each in records]
+    options = estimate(scene, solvers, [*(replace(each, map_error=math.nan) for each in records), *elsewhere])
+    assert "on scenes like this one nobody measured the map" in choose(options, 0.5, "map")[1]
+
+
 def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     measured = tmp_path / "records.csv"
     measured.write_text(
@@ -189,10 +249,21 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     made = read_trajectory(path)
     assert made.scene == column() and made.num_frames == 5 and made.provenance["solver"] == "mpm_5"
     said = capsys.readouterr().out
-    assert "in plane strain" in said and "chosen: mpm_5, the cheapest of 1 that meet 20 %; plane strain" in said
+    assert (
+        "in plane strain" in said
+        and "chosen: mpm_5, the cheapest of 1 that meet 20 % in the worse of front and map; without" in said
+    )
+    assert "up to 3.5 % in the mean height, on scenes like this one; plane strain" in said
     assert "here, 1 threads" in said
+    assert made.provenance["choice"] == {"tolerance": 0.2, "of": "worse", "expected_error": 0.1}
     simulate_by_choice([column()], out=out, tolerance=0.2, **settings)
     assert "already complete" in capsys.readouterr().out
+    simulate_by_choice([column()], out=out, tolerance=0.3, tolerance_of="height", **settings)
+    again = read_trajectory(path)
+    assert again.provenance["choice"] == {"tolerance": 0.3, "of": "height", "expected_error": 0.035}
+    np.testing.assert_array_equal(again.position, made.position)
+    with pytest.raises(InputError, match="tolerance_of=map: the table of measured runs does not say"):
+        simulate_by_choice([column()], out=out, tolerance=0.2, tolerance_of="map", **settings)
     with pytest.raises(InputError, match="of another scene, solver or checkpoint, settings"):
         simulate_by_choice([column(1.2)], out=out, tolerance=0.2, **settings)
     with pytest.raises(InputError, match="frame interval"):

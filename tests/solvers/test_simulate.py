@@ -175,6 +175,10 @@ def test_two_scenes_of_one_name(ckpt: Path, drop: Scene, tmp_path: Path) -> None
             "nothing: there is no such checkpoint; those that come",
         ),
         (["ckpt=collapse", "scene=none.yaml"], "none.yaml"),
+        (["scene=corner", "tolerance=0.1", "tolerance_of=shape"], "one of front, map, height, worse, not 'shape'"),
+        (["scene=corner", "tolerance=0.1", "tolerance_of=null"], "tolerance_of must be text, not null"),
+        (["scene=corner", "solver=mpm", "tolerance_of=map"], "says of which quantity a tolerance is; give one"),
+        (["scene=corner", "tolerance=0.01", "tolerance_of=map"], "that can be met is 0.02 (by mpm_12.7)"),
         (["ckpt=collapse", "scene=scenes/two_blocks.yaml", "device=tpu9"], "device=tpu9 cannot be used here"),
     ],
 )

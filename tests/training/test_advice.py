@@ -64,7 +64,7 @@ TRAINING: dict[str, Any] = {
         "learning_rate": 1e-3,
         "whole_from": 0.0,
         "placements": 1,
-        "weights": {"map": 1.0, "height": 0.0, "front": 0.0, "energy": 0.0, "windows": 1.0},
+        "weights": {"map": 1.0, "height": 0.0, "front": 0.0, "energy": 0.0, "rise": 0.0, "windows": 1.0},
     },
 }
 

@@ -21,7 +21,7 @@ from gns_pl.training.outcomes import ERRORS, compared_frames, outcome_errors
 from tests.conftest import SAND, make_moving, make_simulator, make_start
 
 CELL, SPACING, STEPS = 0.12, 0.06, 5
-WEIGHTS = torch.tensor([1.0, 0.5, 0.5, 0.1], dtype=torch.float64)
+WEIGHTS = torch.tensor([1.0, 0.5, 0.5, 0.1, 0.3], dtype=torch.float64)
 
 
 @pytest.fixture
@@ -63,9 +63,10 @@ def test_a_run_has_no_error_against_itself_and_those_of_its_observables_against_
     compared = compared_frames(7, 7)
     assert compared == [1, 2, 3, 4, 5, 6, 7] and compared_frames(80, 30) == [8, 16, 24, 30]
     frames = torch.from_numpy(one.position).double()
-    assert float(outcome_errors(frames, one, mine, compared).max()) < 1e-9
+    own = outcome_errors(frames, one, mine, compared)
+    assert float(own[:-1].max()) < 1e-9
     found = outcome_errors(frames, one, fine, compared)
-    expected = np.zeros(len(ERRORS))
+    expected = np.zeros(len(ERRORS) - 1)
     advance = fine.advance()[:, 2]
     for frame in compared:
         volumes, wanted = mine.volume_map[frame], fine.volume_map[frame]
@@ -73,9 +74,28 @@ def test_a_run_has_no_error_against_itself_and_those_of_its_observables_against_
             np.square(volumes - wanted).sum() / np.square(wanted).sum(),
             (mine.mean_height[frame] / fine.mean_height[frame] - 1) ** 2,
             ((mine.advance()[frame, 2] - advance[frame]) / max(advance[-1], 2 * CELL)) ** 2,
-            np.diff(np.sqrt([run.kinetic_energy[frame] for run in (mine, fine)]))[0] ** 2 / fine.kinetic_energy.max(),
+            # at rest and on the way there: the second half
+            (frame >= 4)
+            * np.diff(np.sqrt([run.kinetic_energy[frame] for run in (mine, fine)]))[0] ** 2
+            / fine.kinetic_energy.max(),
         ]
-    np.testing.assert_allclose(found.numpy(), expected / len(compared), rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(found[:-1].numpy(), expected / len(compared), rtol=2e-3, atol=1e-6)
+
+
+def test_rises_of_the_energy_are_what_a_push_adds(plane: Scene) -> None:
+    """Free fall keeps the energy of `rise`; a push in the middle adds its work, and braking nothing."""
+    start = make_start(plane, SPACING)
+    dt, mass = start.dt, float(start.mass.sum())
+    velocity = np.array([0.3, 0.0]) + np.arange(8)[:, None] * dt * np.array(plane.gravity)
+    velocity[4:] += (0.2, 0.0)  # 4: the push
+    velocity[6:] -= (0.5, 0.0)
+    start = replace(start, initial_velocity=np.tile(np.float32(velocity[0]), (start.num_particles, 1)))
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(dt * (velocity[1:] + velocity[:-1]) / 2, axis=0)])
+    frames = torch.from_numpy(start.position[0] + path[:, None])
+    fine = compute_observables(make_moving(plane, frames=8, spacing=SPACING, seed=0), CELL)
+    found = float(outcome_errors(frames, start, fine, [7])[-1]) * float(fine.kinetic_energy.max())
+    half = (0.4**2 - 0.3**2) / 2 + (0.5**2 - 0.4**2) / 2  # the push is spread over two of these steps
+    assert found == pytest.approx(mass * half, rel=1e-3)
 
 
 def case(scene: Scene, stabilised: dict[str, object]) -> tuple[Simulator, list[Tensor], object]:
@@ -115,8 +135,9 @@ def test_the_gradient_of_the_loss_is_its_difference(plane: Scene, stabilised: di
 
 
 def test_recomputed_steps_have_the_same_gradient(plane: Scene) -> None:
-    """Also where particles sleep, are moved apart and are slowed down, of which a step remembers something."""
-    simulator = case(plane, {})[0].float()
+    """To the last bit in double precision, in which no way there is compiled; also where particles sleep, are moved
+    apart and are slowed down, of which a step remembers something."""
+    simulator = case(plane, {})[0]
     start = make_start(plane, SPACING)
     velocity = torch.randn(start.position[0].shape, generator=torch.Generator().manual_seed(4))
     velocity[len(velocity) // 2 :] = 0.0

@@ -17,7 +17,7 @@ from gns_pl.metrics.observables import compute_observables
 from gns_pl.models.checkpoint import load_checkpoint
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.training.config import RolloutPhase
-from gns_pl.training.deposits import deposit_errors
+from gns_pl.training.deposits import Deposits, deposit_errors
 from gns_pl.training.outcomes import ERRORS
 from gns_pl.training.resume import find_resume
 from gns_pl.training.summary import read_summary, summary_lines
@@ -65,7 +65,7 @@ def test_the_first_steps_are_the_usual_ones(two_phases: Path, whole_run: Path) -
     first, usual = (next(float(row["loss"]) for row in each if row["loss"]) for each in both)
     assert first == usual
     logged = [row for row in both[0] if row["rollout/map"]]
-    assert len(logged) == 3 and all(float(row[f"rollout/{name}"]) > 0 for row in logged for name in ERRORS)
+    assert len(logged) == 3 and all(float(row[f"rollout/{name}"]) > 0 for row in logged for name in ERRORS[:-1])
     summary = read_summary(two_phases)
     assert summary is not None and summary["rollouts"]["num_steps"] == 3 and summary["rollouts"]["skipped"] == 0
     assert any("3 steps of whole runs" in line and "none left out" in line for line in summary_lines(summary))
@@ -208,3 +208,14 @@ def test_a_fine_run_has_no_error_of_its_own_deposit_and_a_broken_one_any(data_ro
     assert set(deposit_errors(replace(trajectory, position=broken), fine).values()) == {math.inf}
     higher = replace(fine, mean_height=fine.mean_height / 1.25)
     assert deposit_errors(trajectory, higher)["height"] == pytest.approx(0.25)
+
+
+def test_the_averaged_weights_are_validated(two_phases: Path, data_root: Path) -> None:
+    """The errors of the last validation are those of the weights in last.ckpt, which are the average."""
+    solver = LearnedSolver.of(load_checkpoint(two_phases / "last.ckpt"))
+    held_out = [read_fine_run(data_root / name, 1) for name in read_manifest(data_root).splits["valid"]]
+    deposits = Deposits(held_out, placements=3)
+    errors = [deposits.squares(solver, number)["map_square"] for number in range(len(held_out))]
+    logged = [row for row in rows(two_phases) if row["valid/map_rms"]]
+    assert len(logged) == 2 and logged[0]["valid/map_rms"] != logged[1]["valid/map_rms"]
+    assert float(logged[-1]["valid/map_rms"]) == pytest.approx((sum(errors) / len(errors)) ** 0.5, rel=1e-5)

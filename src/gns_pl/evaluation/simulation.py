@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from gns_pl.errors import InputError
+from gns_pl.evaluation.chart.observed import Observed
 from gns_pl.evaluation.outcome import Outcome, read_outcome
 from gns_pl.evaluation.run_report import ReportedRun, check_reporting, report_lines, write_report
-from gns_pl.io import read_header, read_trajectory
-from gns_pl.text import override
+from gns_pl.io import read_header, read_trajectory, read_window
+from gns_pl.metrics.maps import map_error
+from gns_pl.solvers.reduction import reduce_scene
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -43,7 +49,7 @@ def simulate_and_describe(cfg: DictConfig, *, label: str = "") -> list[Path]:
     for path in paths:
         describe(path)
         if cfg.check:
-            compare_with_check(path, cfg.tolerance)
+            compare_with_check(path, cfg.tolerance, cfg.tolerance_of)
     if wanted:
         for path in paths:
             try:
@@ -60,35 +66,50 @@ def describe(path: Path) -> Outcome:
     return outcome
 
 
-def compare_with_check(path: Path, tolerance: float | None) -> None:
+def compare_with_check(path: Path, tolerance: float | None, tolerance_of: str = "worse") -> None:
     """Print how far a run and the one on coarser cells are apart, where there is one.
 
     Args:
         path: of the run.
-        tolerance: of the final runout, relative, that was asked for; None if none was.
+        tolerance: that was asked for, relative; None if none was.
+        tolerance_of: the quantity it is of (`selection.QUANTITIES`).
     """
+    from gns_pl.solvers.selection import QUANTITIES, listed, with_worse
     from gns_pl.solvers.simulate import CHECK_CELLS, check_path
 
     coarser = check_path(path)
     if not coarser.is_file():
         return
-    fine, coarse = read_outcome(path), read_outcome(coarser)
+    fine, coarse = _observed_end(path), _observed_end(coarser)
     cells = [float(read_header(file).provenance["mpm"]["cell_size"]) for file in (path, coarser)]  # type: ignore[index]
-    text = f"check: cells of {cells[0]:.3g} m and of {cells[1]:.3g} m give a final runout of {fine.runout:.3g} m and "
-    text += f"{coarse.runout:.3g} m, a mean height of {fine.mean_height:.3g} m and {coarse.mean_height:.3g} m"
-    if fine.runout > 0:
-        change = coarse.runout / fine.runout - 1
-        error = abs(change) / (CHECK_CELLS - 1)
-        text += (
-            f": {100 * change:+.1f} % in the runout; if errors are proportional to the cells, the finer run errs by "
-        )
-        text += f"{100 * error:.1f} %"
-        if tolerance is not None and error > tolerance:
-            finer = override("cell_size", f"{cells[0] * max(0.25, tolerance / error):.2g}")
-            text += f", more than the tolerance of {100 * tolerance:g} %; run it on finer cells: solver=mpm {finer}"
-        elif tolerance is not None:
-            text += f", within the tolerance of {100 * tolerance:g} %"
+    fronts, heights = ([float(getattr(run, name)[-1]) for run in (fine, coarse)] for name in ("front", "height"))
+    still = 0.0 if fronts[1] <= 0 else math.inf  # where the finer run's front does not advance
+    changes = {
+        "front": fronts[1] / fronts[0] - 1 if fronts[0] > 0 else still,
+        "map": map_error(coarse.volumes, fine.volumes),
+        "height": heights[1] / heights[0] - 1,
+    }
+    errors = with_worse({of: abs(change) / (CHECK_CELLS - 1) for of, change in changes.items()})
+    text = f"check: cells of {cells[0]:.3g} m and of {cells[1]:.3g} m give a final runout of {fronts[0]:.3g} m and "
+    text += f"{fronts[1]:.3g} m, a mean height of {heights[0]:.3g} m and {heights[1]:.3g} m, and "
+    text += f"{100 * changes['map']:.1f} % of the volume in different places; if errors are proportional to the cells, "
+    text += f"the finer run errs by {listed(errors)}"
+    if tolerance is not None:
+        asked, error = f"the tolerance of {100 * tolerance:g} % in the {QUANTITIES[tolerance_of]}", errors[tolerance_of]
+        if error > tolerance:
+            finer = cells[0] * max(0.25, tolerance / error)
+            text += f", more than {asked}; run it on finer cells: solver=mpm cell_size={finer:.2g}"
+        else:
+            text += f", within {asked}"
     print(f"{text}.")
+
+
+def _observed_end(path: Path) -> Observed:
+    """Return what is compared of the run in a file, as a chart does, of its first and its last frame."""
+    start = read_trajectory(path, 1)
+    last = read_window(path, read_header(path).num_frames - 1, 1)
+    run, reduction = replace(start, position=np.concatenate([start.position, last])), reduce_scene(start.scene)
+    return Observed.of(run, start.scene if reduction.across is None else reduction.scene, reduction.across)
 
 
 def report(path: Path, reporting: Mapping[str, Any]) -> list[Path]:

@@ -76,7 +76,7 @@ def _cells(position: Any, begin: int, end: int, radius: float) -> Any:
 
 @_compiled
 def _list(position: Any, begin: int, end: int, radius: float, squared: Any, sender: Any, count: int, start: Any) -> Any:
-    """List the neighbours of the particles of a graph, senders ascending; return the senders, and how many there are.
+    """List the neighbours of the particles of a graph; return the senders, and how many there are.
 
     Args:
         position: [N, D] [m].
@@ -93,7 +93,6 @@ def _list(position: Any, begin: int, end: int, radius: float, squared: Any, send
     x, y, z, square = ordered[0], ordered[1], ordered[2], np.empty(number, position.dtype)
     here = np.zeros(3, position.dtype)
     for i in range(begin, end):
-        into = count
         for axis in range(dim):
             here[3 - dim + axis] = position[i, axis]
         a, b, c = here[0], here[1], here[2]
@@ -115,12 +114,6 @@ def _list(position: Any, begin: int, end: int, radius: float, squared: Any, send
                 for place in range(low, high):
                     sender[count] = order[place]
                     count += (square[place - low] < squared) & (order[place] != i)
-        for slot in range(into + 1, count):
-            j, before = sender[slot], slot
-            while before > into and sender[before - 1] > j:
-                sender[before] = sender[before - 1]
-                before -= 1
-            sender[before] = j
         start[i + 1] = count
     return sender, count
 
@@ -133,10 +126,13 @@ def _neighbours(position: Any, first: Any, radius: float, squared: Any) -> Any:
     for graph in range(len(first) - 1):
         if first[graph + 1] > first[graph]:
             sender, count = _list(position, first[graph], first[graph + 1], radius, squared, sender, count, start)
-    edge_index = np.empty((2, count), np.int64)
-    edge_index[0] = sender[:count]
+    # Whoever is a neighbour has one: what is listed as i's neighbours is handed to these, and comes in ascending order.
+    edge_index, following = np.empty((2, count), np.int64), start[:-1].copy()
     for i in range(number):
         for slot in range(start[i], start[i + 1]):
+            j = sender[slot]
+            edge_index[0, following[j]] = i
+            following[j] += 1
             edge_index[1, slot] = i
     return edge_index
 

@@ -9,12 +9,15 @@ which tells a sunken heap from a sound one where the irregular places of the nea
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gns_pl.errors import InputError
@@ -52,6 +55,14 @@ class ContextGrid:
     edge: Tensor
     room: Tensor | None
     height: Tensor | None
+
+    @functools.cached_property
+    def arrays(self) -> list[NDArray[Any]] | None:
+        """Of boxes whose nodes all are kept: what `graph.feature_loops` wants of the grid."""
+        if self.room is None or self.height is None:
+            return None
+        tensors = (self.lower, self.edge, self.cells, torch.tensor(self.shape), self.room, self.height)
+        return [tensor.contiguous().numpy() for tensor in tensors]
 
     @classmethod
     def of(cls, lower: Tensor, upper: Tensor, cell: float) -> ContextGrid:

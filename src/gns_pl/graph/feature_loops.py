@@ -1,4 +1,4 @@
-"""Node and edge features on a CPU without gradients: what `graph.features` and `graph.context` say, a particle a time.
+"""Features on a CPU without derivatives: what `graph.features` and `graph.context` say, a particle a time.
 
 Of a thousand particles the dozens of small torch operations take ten times as long as their arithmetic.
 """
@@ -32,7 +32,8 @@ def fill_motion_and_walls(
 ) -> int:
     """Fill in velocities [N, H − 1, D] over their scale and distances to walls; return the columns filled."""
     number, steps, dim = velocity.shape
-    walls = steps * dim
+    walls: int = steps * dim
+    columns: int = walls + 2 * dim
     one = np.float32(1)
     for i in range(number):
         box = batch[i]
@@ -44,7 +45,18 @@ def fill_motion_and_walls(
             above = (upper[box, axis] - position[i, axis]) / radius
             feature[i, walls + axis] = min(max(below, -one), one)
             feature[i, walls + dim + axis] = min(max(above, -one), one)
-    return walls + 2 * dim
+    return columns
+
+
+@compile_function
+def fill_kinds(particle_type: Any, kinds: Any, material: Any, scale: Any, begin: int, feature: Any) -> None:
+    """Fill in which of the kinds [K] a particle is, and its material [N, M'] by means and deviations [2, M]."""
+    behind = begin + len(kinds)
+    for i in range(len(feature)):
+        for k in range(len(kinds)):
+            feature[i, begin + k] = particle_type[i] == kinds[k]
+        for c in range(scale.shape[1]):
+            feature[i, behind + c] = (material[i, c] - scale[0, c]) / scale[1, c]
 
 
 @compile_function

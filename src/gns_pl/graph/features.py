@@ -10,7 +10,8 @@ from torch import Tensor
 
 from gns_pl.fields import ParticleType
 from gns_pl.graph.context import ContextGrid, context_fields
-from gns_pl.graph.feature_loops import fill_context, fill_edges, fill_motion_and_walls, sum_context
+from gns_pl.graph.feature_loops import fill_context, fill_edges, fill_kinds, fill_motion_and_walls, sum_context
+from gns_pl.machine import compiles
 
 
 @dataclass(frozen=True)
@@ -128,10 +129,13 @@ def node_features(
     Returns:
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
     """
-    if _compiles(velocity, position, velocity_scale, scenes.lower, scenes.volume):
-        motion = _compiled_motion(velocity, position, scenes, velocity_scale, radius, spacing, context)
-        if motion is not None:
-            return torch.cat([motion, *_kinds(scenes, particle_types, material_scale, position.dtype)], dim=1)
+    kinds = particle_types if len(particle_types) > 1 else ()
+    if compiles(velocity, position, velocity_scale, material_scale, scenes.lower, scenes.volume, scenes.material):
+        feature = _compiled_features(
+            velocity, position, scenes, velocity_scale, radius, spacing, kinds, material_scale, context
+        )
+        if feature is not None:
+            return feature
     to_lower = position - scenes.of_particles(scenes.lower)
     to_upper = scenes.of_particles(scenes.upper) - position
     walls = torch.cat([to_lower, to_upper], dim=1) / radius
@@ -147,45 +151,36 @@ def node_features(
         fraction = fraction * spacing ** position.shape[1] / scenes.volume
         parts.append(torch.stack([floor, thickness / (REACH * radius), empty, 2 * fraction], dim=1))
         parts.append(momentum / (REACH * radius * velocity_scale))
-    return torch.cat([*parts, *_kinds(scenes, particle_types, material_scale, position.dtype)], dim=1)
-
-
-def _kinds(
-    scenes: SceneBatch, particle_types: tuple[int, ...], material_scale: Tensor, dtype: torch.dtype
-) -> list[Tensor]:
-    """Return type and material of every particle, each [N, …], where the simulator knows several."""
-    parts = []
-    if len(particle_types) > 1:
-        known = [scenes.particle_type == kind for kind in particle_types]
-        parts.append(torch.stack(known, dim=1).to(dtype))
+    if kinds:
+        parts.append(torch.stack([scenes.particle_type == kind for kind in kinds], dim=1).to(position.dtype))
     used = material_scale.shape[1]
     if used:
         parts.append((scenes.material[:, :used] - material_scale[0]) / material_scale[1])
-    return parts
+    return torch.cat(parts, dim=1)
 
 
-def _compiles(*tensors: Tensor) -> bool:
-    """Return whether the compiled loops can make features of tensors: float32 on the CPU, and no gradient."""
-    plain = all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
-    return plain and not (torch.is_grad_enabled() or torch.compiler.is_exporting() or torch.compiler.is_compiling())
-
-
-def _compiled_motion(
+def _compiled_features(
     velocity: Tensor,
     position: Tensor,
     scenes: SceneBatch,
     velocity_scale: Tensor,
     radius: float,
     spacing: float,
+    kinds: tuple[int, ...],
+    material_scale: Tensor,
     context: bool,
 ) -> Tensor | None:
-    """Return all columns of `node_features` but type and material; None where the context's grid is too large."""
-    grid = scenes.grid(radius) if context else None
-    if grid is not None and (grid.room is None or grid.height is None):
+    """Return `node_features`; None where the context's grid is too large."""
+    grid = scenes.grid(radius).arrays if context else None
+    if context and grid is None:
         return None
     number, steps, dim = velocity.shape
     width = node_width(
-        dim=dim, input_sequence_length=steps + 1, num_particle_types=1, num_material_features=0, context=context
+        dim=dim,
+        input_sequence_length=steps + 1,
+        num_particle_types=len(kinds),
+        num_material_features=material_scale.shape[1],
+        context=context,
     )
     feature = position.new_empty(number, width)
     scale, reach = np.float32(velocity_scale), np.float32(REACH * radius)
@@ -195,11 +190,14 @@ def _compiled_motion(
     speeds, upper, columns = velocity.contiguous().numpy(), scenes.upper.contiguous().numpy(), feature.numpy()
     begin = fill_motion_and_walls(speeds, scale, place, lower, upper, batch, np.float32(radius), columns)
     if grid is not None:
-        of_grid = (grid.lower, grid.edge, grid.cells, torch.tensor(grid.shape), grid.room, grid.height)
-        arrays = [tensor.contiguous().numpy() for tensor in of_grid]  # type: ignore[union-attr]
-        summed = sum_context(place, np.ascontiguousarray(speeds[:, -1]), batch, volume, *arrays)
-        sizes = [np.float32(size) for size in (reach, radius, EMPTY, spacing**dim)]
-        fill_context(summed, place, lower, batch, volume, *sizes, scale, begin, columns)
+        summed = sum_context(place, np.ascontiguousarray(speeds[:, -1]), batch, volume, *grid)
+        sizes = (reach, np.float32(radius), np.float32(EMPTY), np.float32(spacing**dim), scale)
+        fill_context(summed, place, lower, batch, volume, *sizes, begin, columns)
+        begin += 4 + dim
+    types, material, of_material = (
+        tensor.contiguous().numpy() for tensor in (scenes.particle_type, scenes.material, material_scale)
+    )
+    fill_kinds(types, np.array(kinds, np.int64), material, of_material, begin, columns)
     return feature
 
 
@@ -216,7 +214,7 @@ def edge_features(position: Tensor, edge_index: Tensor, radius: float) -> Tensor
         edge_index: [2, E], sender and receiver.
         radius: connectivity radius R [m].
     """
-    if _compiles(position):
+    if compiles(position):
         feature = position.new_empty(edge_index.shape[1], edge_width(position.shape[1]))
         fill_edges(position.contiguous().numpy(), edge_index.numpy(), np.float32(radius), feature.numpy())
         return feature

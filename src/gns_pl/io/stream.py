@@ -8,7 +8,8 @@ which goes on copies what is there into a new one. Finished, the file takes its 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.fields import FIELDS, POSITION
 from gns_pl.io import schema
-from gns_pl.io.atomic import StorageError, free_bytes, sync
+from gns_pl.io.atomic import StorageError, atomic_path, free_bytes, sync
 from gns_pl.io.hdf5 import (
     GROWING,
     LIBRARY,
@@ -116,9 +117,7 @@ class TrajectoryStream:
         with _told(self.growing):
             self._file.close()
             with h5py.File(self.growing, "r+", libver=LIBRARY, locking=False) as file:
-                del file[schema.PROVENANCE]
-                text = json.dumps(provenance, allow_nan=False)
-                file.create_dataset(schema.PROVENANCE, data=text, track_times=False)
+                _replace_provenance(file, provenance)
                 if observables is not None:
                     write_observables(file, observables)
             sync(self.growing)
@@ -191,6 +190,35 @@ def go_on(path: str | Path, start: Trajectory, source: Path, num_frames: int) ->
     if source == aside:
         aside.unlink()
     return stream
+
+
+def add_provenance(path: str | Path, facts: Mapping[str, object]) -> None:
+    """Add to what a finished file says of how it was made; what it says of the same keys is replaced.
+
+    The file is copied, and the copy takes its name, because HDF5 does not survive being killed while it writes.
+
+    Args:
+        path: of a trajectory.
+        facts: plain values; where the file says all of them already, nothing is written.
+
+    Raises:
+        InputError: no such file, or one that is no trajectory.
+        StorageError: the disk refuses; the file is as it was.
+    """
+    path = Path(path)
+    provenance = read_header(path).provenance
+    if {**provenance, **facts} == provenance:
+        return
+    with atomic_path(path) as temporary:
+        shutil.copyfile(path, temporary)
+        with h5py.File(temporary, "r+", libver=LIBRARY, locking=False) as file:
+            _replace_provenance(file, {**provenance, **facts})
+
+
+def _replace_provenance(file: h5py.File, provenance: Mapping[str, object]) -> None:
+    text = json.dumps(provenance, allow_nan=False)
+    del file[schema.PROVENANCE]
+    file.create_dataset(schema.PROVENANCE, data=text, track_times=False)
 
 
 @contextmanager

@@ -10,13 +10,17 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
 from gns_pl.graph.features import in_precision
+from gns_pl.machine import compiles
 from gns_pl.models.config import SimulatorConfig
+from gns_pl.models.step_loops import gated_in_contact, integrated
 from gns_pl.nn import build_network, in_float32
 
 Search = Callable[..., Tensor]
@@ -199,13 +203,18 @@ class Simulator(nn.Module):
             search: as of `features`.
             network: evaluated in the place of the simulator's own.
         """
-        config = self.config
-        position, velocity = history[:, -1], history.diff(dim=1) / config.dt
+        config, position = self.config, history[:, -1]
         node, edge_index = self.features(history, scenes, search)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = (network or self.network)(node, edge, edge_index)
+        if compiles(history, output, self.acceleration_scale, scenes.lower, scenes.gravity):
+            scales, boxes = self._numbers(), self._boxes(scenes)
+            arrays = (edge_index.numpy(), *boxes, np.float32(config.connectivity_radius))
+            gated = config.output == "gated"
+            return torch.from_numpy(gated_in_contact(output.numpy(), gated, history.numpy(), *scales, *arrays))
         if config.output == "gated":
             increment, gate = output.chunk(2, dim=1)
+            velocity = history.diff(dim=1) / config.dt
             falling = velocity[:, -1] / config.dt + scenes.of_particles(scenes.gravity)  # (v + g Δt) / Δt
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
         return torch.where(self._in_contact(position, edge_index, scenes)[:, None], output, 0.0)
@@ -248,6 +257,10 @@ class Simulator(nn.Module):
             normalised: (a − g) / `acceleration_scale` [N, D].
             scenes: those that are stepped.
         """
+        if compiles(history, normalised, self.acceleration_scale, scenes.lower, scenes.gravity):
+            dt, scale = self._numbers()
+            arrays = (*self._boxes(scenes), scenes.moved.numpy())
+            return torch.from_numpy(integrated(history.numpy(), normalised.numpy(), scale, dt, *arrays))
         acceleration = normalised * self.acceleration_scale + scenes.of_particles(scenes.gravity)
         velocity = (history[:, -1] - history[:, -2]) / self.config.dt + acceleration * self.config.dt
         step = velocity * self.config.dt
@@ -255,6 +268,15 @@ class Simulator(nn.Module):
         position = torch.clamp(history[:, -1] + step, lower, upper)
         position = torch.where(step.abs() > upper - lower, torch.nan, position)
         return torch.where(scenes.moved[:, None], position, history[:, -1])
+
+    def _numbers(self) -> tuple[np.float32, np.float32]:
+        """Return time of a step [s] and scale of accelerations [m/s²], for compiled loops."""
+        return np.float32(self.config.dt), np.float32(self.acceleration_scale)
+
+    @staticmethod
+    def _boxes(scenes: SceneBatch) -> tuple[NDArray[Any], ...]:
+        """Return corners and gravity of every box, and the box of every particle, for compiled loops."""
+        return tuple(value.numpy() for value in (scenes.lower, scenes.upper, scenes.gravity, scenes.batch))
 
     def forward(
         self, history: Tensor, scenes: SceneBatch, *, search: Search | None = None, network: Evaluation | None = None

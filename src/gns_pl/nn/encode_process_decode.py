@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 from collections.abc import Callable
-from typing import Self, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -100,15 +100,6 @@ class EncodeProcessDecode(LayerStack):
                 self.exchange(node)
         return cast(Tensor, self.decoder(node))
 
-    def train(self, mode: bool = True) -> Self:
-        """Set the mode; what was made of the weights before is made anew.
-
-        An average of weights takes their place and gives it back through `.data` (Lightning's `WeightAveraging`, around
-        a validation), which their version does not tell.
-        """
-        self._fused_key = self._packed_key = ()
-        return super().train(mode)
-
     def _fuses(self, node: Tensor, edge_index: Tensor) -> bool:
         """Return whether the kernels of `nn.fused` can make this pass."""
         width = cast(nn.Linear, self.decoder[0]).in_features
@@ -140,15 +131,14 @@ class EncodeProcessDecode(LayerStack):
 
     def _state_key(self, setting: str) -> tuple[object, ...]:
         """Return what changes when the weights do, or are another network's."""
-        key: list[object] = [id(self), setting]
         modules: list[nn.Module] = [self]
-        while modules:  # `parameters()` makes names besides, and takes ten times as long
-            module = modules.pop()
+        found: list[nn.Parameter | None] = []
+        for module in modules:  # grows; `parameters()` makes names besides, and takes ten times as long
             modules.extend(filter(None, module._modules.values()))
-            for weight in module._parameters.values():
-                if weight is not None:
-                    key += [weight.data_ptr(), 0 if weight.is_inference() else weight._version]
-        return tuple(key)
+            found.extend(module._parameters.values())
+        weights = [weight for weight in found if weight is not None]
+        places = [weight.data_ptr() for weight in weights]
+        return id(self), setting, *places, *[0 if weight.is_inference() else weight._version for weight in weights]
 
 
 @functools.cache

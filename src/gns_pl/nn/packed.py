@@ -116,7 +116,7 @@ class PackedNetwork:
             exchange: as of `Network`.
         """
         number, layers, width = len(node), len(self.messages), self.padded
-        features, edge_features = node.contiguous().numpy(), edge.contiguous().numpy()
+        features, edge_features = (given.detach().contiguous().numpy() for given in (node, edge))
         keeps_state = layers > 1
         rows = 4 * (number + ROWS) + (len(edge) + ROWS) * keeps_state
         memory = self._memory(rows)
@@ -142,19 +142,17 @@ class PackedNetwork:
             if hands:
                 hand(layer + 1, low, high)
 
-        edges.share(encode, lambda part: [])
+        edges.share_alike(encode)
         for layer, message in enumerate(self.messages):
             last, encodes = layer + 1 == layers, layer == 0
             keeps = keeps_state and (encodes or not (last or self.static_edges))
             settings = (encodes, keeps, not self.static_edges)
             arrays = (edge_features, state, edges.sender.numpy(), edges.start.numpy(), sending, receiving, received)
-            passed = [self.edge_encoder, message, *arrays, *settings]
-            edges.share(pass_messages, lambda part, passed=passed: passed)
-            together = exchange is None or last
-            edges.share(update, lambda part, settings=(layer, together): list(settings))
+            edges.share_alike(pass_messages, self.edge_encoder, message, *arrays, *settings)
+            edges.share_alike(update, layer, exchange is None or last)
             if exchange is not None and not last:
                 exchange(torch.from_numpy(states)[:number, : self.width])
-                edges.share(hand, lambda part, following=layer + 1: [following])
+                edges.share_alike(hand, layer + 1)
         if memory.nbytes <= SPARE_BYTES:
             self._spare.append(memory)
         return output

@@ -76,6 +76,10 @@ class SortedEdges:
         for other in others:
             other.result()
 
+    def share_alike(self, loop: Callable[..., None], *arguments: Any) -> None:
+        """Run a loop as `share` does, with the same arguments for every part."""
+        self.share(loop, lambda part: list(arguments))
+
 
 @functools.cache
 def thread_pool(process: int) -> ThreadPoolExecutor:

@@ -1,25 +1,23 @@
-"""Derivatives of a whole rollout and of what is measured on it: few frames are remembered, steps made a second time.
+"""Derivatives of a whole rollout and of what is measured on it.
 
-Backpropagation through T steps would keep every edge state of every step. Here only the positions are kept, and each
-step is computed a second time when its gradient is due (Griewank and Walther 2000), so memory grows with T · N and not
-with T · E · L. What is differentiated is the simulator with its neighbour lists held: edges that appear or vanish are
-jumps, which have no derivative. Front, volume map and distances are those of `metrics`, with derivatives.
+What is differentiated is the simulator with its neighbour lists held: edges that appear or vanish are jumps, which have
+no derivative. Front, volume map and distances are those of `metrics`, with derivatives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
 from gns_pl.graph import SceneBatch
 from gns_pl.metrics.maps import map_cells
 from gns_pl.metrics.release import is_column
 from gns_pl.models.simulator import Simulator
+from gns_pl.rollout.recompute import all_frames, recomputed_frames
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import Scene
 
@@ -45,8 +43,8 @@ def differentiable_rollout(
         velocity: of the first frame [N, D] [m/s].
         scenes: those that are stepped.
         num_steps: frames to add.
-        recompute: make every step a second time on the way back; else all its states are kept, which takes less time
-            and T · E · L numbers of memory.
+        recompute: make every step a second time on the way back (`rollout.recompute`); else all its states are kept,
+            T · E · L numbers.
         stabilised: arguments of `rollout.stabilise.stabilise`; None leaves the steps as they are.
 
     Returns:
@@ -59,18 +57,13 @@ def differentiable_rollout(
     history = position[:, None] - before[:, None] * (velocity * config.dt)[:, None]
     missing = (len(position), stepper.history_length - history.shape[1], config.dim)
     history = torch.cat([history.new_full(missing, torch.nan), history], dim=1)
-    frames = [position]
-    for _ in range(num_steps):
-        # `scenes` is not an argument for autograd to see, but its tensors are recorded when the step is made again.
-        if recompute:
-            frame = cast(Tensor, checkpoint(stepper, history, scenes, use_reentrant=False, preserve_rng_state=False))
-        else:
-            frame = stepper(history, scenes)
-        frames.append(frame)
-        if not bool(torch.isfinite(frame.detach()).all()):
-            break  # no neighbours can be found of what is nowhere
-        history = torch.cat([history[:, 1:], frame[:, None]], dim=1)
-    return torch.stack(frames)
+    if num_steps < 1:
+        return position[None]
+    if recompute:
+        frames = recomputed_frames(stepper, list(simulator.parameters()), history, scenes, num_steps)
+    else:
+        frames = all_frames(lambda positions: stepper(positions, scenes), history, num_steps)
+    return torch.cat([position[None], frames])
 
 
 def differentiable_front(coordinate: Tensor, mass: Tensor, percent: float, width: float) -> Tensor:

@@ -8,59 +8,89 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from gns_pl.machine import compile_function
 
 
-def compiles(*tensors: Tensor) -> bool:
-    """Return whether the loops take tensors: float32, on the CPU."""
-    return all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
-
-
 @compile_function
-def moved_apart(position: Any, edge_index: Any, least: Any, batch: Any, lower: Any, upper: Any) -> Any:
-    """Return positions where the particles of every pair have moved apart by half of what it lacks, each [N, D] [m].
+def move_apart(
+    position: Any, searched: Any, radius: float, pairs: Any, least: Any, sweeps: int, batch: Any, lower: Any, upper: Any
+) -> Any:
+    """Move particles of pairs that are too close apart, each by half of what is missing, some times over.
 
     Args:
-        position: [N, D] [m].
-        edge_index: pairs nearer than `least`, both ways [2, E].
+        position: changed in place [N, D] [m].
+        searched: where they were when the pairs were found [N, D] [m].
+        radius: all pairs nearer than that were found [m].
+        pairs: both ways [2, P].
         least: distance that is wanted [m].
+        sweeps: times.
         batch: box of every particle [N].
         lower: corner of every box [B, D] [m].
         upper: likewise.
+
+    Returns:
+        The times that are left when particles are where others may be too close.
     """
     number, dim = position.shape
-    half, tiny = np.float32(0.5), np.float32(1e-6) * least
-    shift = np.zeros_like(position)
-    for e in range(edge_index.shape[1]):
-        j, i = edge_index[0, e], edge_index[1, e]
-        square = np.float32(0)
-        for axis in range(dim):
-            along = position[i, axis] - position[j, axis]
-            square += along * along
-        distance = np.sqrt(square)
-        if distance > tiny:
+    half, tiny, limit = np.float32(0.5), np.float32(1e-6) * least, least * least
+    shift, begun, apart = np.empty_like(position), position.copy(), 0.0
+    for axis in range(dim):  # how far two have moved apart since the search, at most
+        least_move = most_move = position[0, axis] - searched[0, axis]
+        for i in range(1, number):
+            move = position[i, axis] - searched[i, axis]
+            least_move, most_move = min(least_move, move), max(most_move, move)
+        apart += (most_move - least_move) ** 2
+    # Of two that were further apart than the radius then, each may move by so much before they are too close.
+    room = 0.49 * (radius - least - np.sqrt(apart))
+    if room <= 0:
+        return sweeps
+    while sweeps > 0:
+        sweeps -= 1
+        shift[:] = 0
+        nothing = True
+        for e in range(pairs.shape[1]):
+            j, i = pairs[0, e], pairs[1, e]
+            along = position[i, 0] - position[j, 0]
+            square = along * along
+            for axis in range(1, dim):
+                along = position[i, axis] - position[j, axis]
+                square += along * along
+            if not square < limit:
+                continue
+            nothing, distance = False, np.sqrt(square)
+            if distance > tiny:
+                for axis in range(dim):
+                    along = (position[i, axis] - position[j, axis]) / distance
+                    shift[i, axis] += half * (least - distance) * along
+            else:  # two in one place: the one of the higher number goes up
+                shift[i, dim - 1] += half * (least - distance) * (1 if i > j else -1)
+        if nothing:
+            return 0
+        farthest = np.float32(0)
+        for i in range(number):
+            square = np.float32(0)
             for axis in range(dim):
-                along = (position[i, axis] - position[j, axis]) / distance
-                shift[i, axis] += half * (least - distance) * along
-        else:  # two in one place: the one of the higher number goes up
-            shift[i, dim - 1] += half * (least - distance) * (1 if i > j else -1)
-    for i in range(number):
-        for axis in range(dim):
-            place = position[i, axis] + shift[i, axis]
-            shift[i, axis] = min(max(place, lower[batch[i], axis]), upper[batch[i], axis])
-    return shift
+                place = position[i, axis] + shift[i, axis]
+                place = min(max(place, lower[batch[i], axis]), upper[batch[i], axis])
+                position[i, axis] = place
+                square += (place - begun[i, axis]) ** 2
+            farthest = max(farthest, square)
+        if not farthest < room * room:
+            return sweeps
+    return 0
 
 
 @compile_function
-def energies(
-    earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any, gravity: Any, lowest: Any, dt: float
-) -> Any:
-    """Return of every scene what `StableStepper` weighs a step's energy by [B, 5].
+def slowing(
+    dt: float, rounding: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any,
+    gravity: Any, lower: Any, upper: Any,
+) -> Any:  # fmt: skip
+    """Return of every scene by what `StableStepper` scales its velocities [B]; 1, or NaN: by nothing.
 
     Args:
+        dt: time of the step [s].
+        rounding: share by which the energy may rise.
         earlier: positions before the step before [N, D] [m].
         before: before the step.
         position: behind it.
@@ -68,13 +98,11 @@ def energies(
         moved: particles that a simulator moves [N] bool.
         batch: scene of every particle [N].
         gravity: [B, D] [m/s²].
-        lowest: corner of every box from which heights count [B, D] [m].
-        dt: time of the step [s].
-
-    Returns:
-        Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it;
-        motion and height of the step before; motion of what a script moves.
+        lower: corner of every box [B, D] [m].
+        upper: likewise.
     """
+    # Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it; motion
+    # and height of the step before; motion of what a script moves.
     sums = np.zeros((len(gravity), 5))
     for i in range(len(position)):
         box = batch[i]
@@ -85,7 +113,8 @@ def energies(
             past = np.float64(before[i, axis] - earlier[i, axis]) / dt
             quadratic += velocity * velocity / 2
             linear -= pull * velocity * dt / 2
-            height += (lowest[box, axis] - before[i, axis]) * pull
+            lowest = upper[box, axis] if pull > 0 else lower[box, axis]
+            height += (lowest - before[i, axis]) * pull
             kinetic += past * past / 2
             risen += pull * past * dt / 2
         sums[box, 0] += volume[i] * quadratic
@@ -93,7 +122,15 @@ def energies(
         sums[box, 2] += volume[i] * height
         sums[box, 3] += volume[i] * (kinetic + risen)
         sums[box, 4] += 0.0 if moved[i] else volume[i] * 2 * kinetic
-    return sums
+    factor = np.ones(len(gravity))
+    for box in range(len(gravity)):
+        quadratic, linear, height, past, pushed = sums[box, 0], sums[box, 1], sums[box, 2], sums[box, 3], sums[box, 4]
+        allowed = (past + height) * (1 + rounding) - height
+        if not (pushed > 0 or quadratic + linear <= allowed):
+            root = np.sqrt(max(linear * linear + 4 * quadratic * allowed, 0.0))
+            share = (root - linear) / max(2 * quadratic, 1e-30)
+            factor[box] = 0.0 if share < 0 else 1.0 if share > 1 else share
+    return factor
 
 
 @compile_function

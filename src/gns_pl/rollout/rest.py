@@ -13,7 +13,8 @@ from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, radius_graph
-from gns_pl.rollout.loops import compiles, is_moving, passed, spread
+from gns_pl.machine import compiles
+from gns_pl.rollout.loops import is_moving, passed, spread
 from gns_pl.rollout.stepper import Stepper, opened
 
 REST_STEPS = 5
@@ -83,6 +84,9 @@ class SleepingStepper:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
         step, config = self.speed * self.config.dt, self.config
         self._moving = _moving(history.detach(), step)  # nothing of it has a derivative
+        if not bool(self._moving.any()):  # then nobody wakes either
+            self.awake = self._moving
+            return history[:, -1]
         recent = history[:, -self._stepper.history_length :]
         if self._open is None:
             self._find(recent[:, -1], config.connectivity_radius, scenes.batch, num_graphs=scenes.num_graphs)
@@ -107,7 +111,7 @@ class SleepingStepper:
         reached = self._reached
         if bool(reached.all()):
             return self._network(node, edge, edge_index)
-        if compiles(node, edge) and not torch.is_grad_enabled():
+        if compiles(edge):
             edges, features, visible = map(torch.from_numpy, passed(edge_index.numpy(), edge.numpy(), reached.numpy()))
             output = self._network(node[visible], features, edges)
             return output.new_zeros(len(node), output.shape[1]).index_copy_(0, visible, output)

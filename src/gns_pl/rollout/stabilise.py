@@ -9,15 +9,21 @@ step before it (straight-through, Bengio et al. 2013), velocities that were scal
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, radius_graph
-from gns_pl.rollout.loops import compiles, energies, moved_apart
+from gns_pl.graph.cells import all_finite
+from gns_pl.machine import compiles
+from gns_pl.models.simulator import Search
+from gns_pl.rollout.loops import move_apart, slowing
 from gns_pl.rollout.rest import SleepingStepper
-from gns_pl.rollout.stepper import Stepper
+from gns_pl.rollout.stepper import Stepper, opened
 
 SWEEPS = 4
 """Times that all pairs which are too close are moved apart, in a step."""
@@ -53,7 +59,35 @@ def stabilise(
         raise InputError(f"stabilise.sleep must be a speed of 0 or more, not {sleep}.")
     if stepper.config.exact_steps or not (sleep or min_distance or energy_limiter):
         return stepper
-    return StableStepper(SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter)
+    open_stepper = opened(stepper)
+    found = FoundPairs(open_stepper.search) if open_stepper is not None and min_distance else None
+    if open_stepper is not None and found is not None:
+        stepper = replace(open_stepper, search=found)
+    return StableStepper(SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter, found)
+
+
+class FoundPairs:
+    """A search that remembers what it found last.
+
+    Args:
+        search: finds neighbours.
+
+    Attributes:
+        pairs: edges [2, E]; None if nothing was searched.
+        position: in which they were found [N, D] [m].
+        radius: within which [m].
+    """
+
+    def __init__(self, search: Search) -> None:
+        self._search, self.position, self.radius = search, torch.empty(0), 0.0
+        self.pairs: Tensor | None = None
+
+    def __call__(self, position: Tensor, radius: float, *arguments: object, **settings: object) -> Tensor:
+        """Return the edges of a graph; arguments as those of `radius_graph`."""
+        self.pairs, self.position, self.radius = None, position.detach(), radius
+        found = self._search(position, radius, *arguments, **settings)
+        self.pairs = found
+        return found
 
 
 class StableStepper:
@@ -63,41 +97,43 @@ class StableStepper:
         stepper: makes the steps.
         min_distance: as of `stabilise`.
         energy_limiter: as of `stabilise`.
+        found: the pairs that the steps find.
     """
 
-    def __init__(self, stepper: Stepper, min_distance: float, energy_limiter: bool) -> None:
+    def __init__(
+        self, stepper: Stepper, min_distance: float, energy_limiter: bool, found: FoundPairs | None = None
+    ) -> None:
+        self._found = found
         self._stepper, self.min_distance, self.energy_limiter = stepper, min_distance, energy_limiter
         self.config, self.device, self.history_length = stepper.config, stepper.device, stepper.history_length
 
     def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the positions one step later; arguments as those of the simulator, with `history_length` positions."""
+        if self._found is not None:
+            self._found.pairs = None
         position = self._stepper(history, scenes)
         if self.min_distance:
             apart = self._apart(position.detach(), scenes)
             # The difference is zero: it takes the derivative past the shifts, and leaves the numbers as they are.
             position = apart + (position - position.detach()) if position.requires_grad else apart
         if self.energy_limiter:
-            factor = self._dissipating(history.detach(), position.detach(), scenes)
-            before = history[:, -1]
-            position = torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
+            factor, before = self._dissipating(history.detach(), position.detach(), scenes), history[:, -1]
+            if factor is not None:
+                position = torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
         return torch.where(scenes.moved[:, None], position, history[:, -1])
 
     def _apart(self, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Move particles apart that are too close, each by half of what is missing, some times over."""
         least = self.min_distance * self.config.spacing
         lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
+        if compiles(position, scenes.lower):
+            return torch.from_numpy(self._apart_in_loops(position, scenes, least))
         if not bool(torch.isfinite(position).all()):
             return position
         for _ in range(SWEEPS):
-            pairs = radius_graph(position, least, scenes.batch, num_graphs=scenes.num_graphs)
-            sender, receiver = pairs
+            sender, receiver = radius_graph(position, least, scenes.batch, num_graphs=scenes.num_graphs)
             if len(sender) == 0:
                 break
-            if compiles(position, scenes.lower):
-                boxes = (scenes.batch.numpy(), scenes.lower.numpy(), scenes.upper.numpy())
-                moved = moved_apart(position.contiguous().numpy(), pairs.numpy(), np.float32(least), *boxes)
-                position = torch.from_numpy(moved)
-                continue
             away = position[receiver] - position[sender]
             distance = away.norm(dim=1, keepdim=True)
             aside = torch.zeros_like(away)  # for two in one place: the one of the higher number goes up
@@ -107,15 +143,35 @@ class StableStepper:
             position = torch.clamp(position + shift, lower, upper)
         return position
 
-    def _dissipating(self, history: Tensor, position: Tensor, scenes: SceneBatch) -> Tensor:
+    def _apart_in_loops(self, position: Tensor, scenes: SceneBatch, least: float) -> NDArray[np.float32]:
+        """Return what `_apart` does, from the pairs that the step has found where these will do."""
+        place, found, sweeps = position.numpy().copy(), self._found, SWEEPS
+        boxes = [value.numpy() for value in (scenes.batch, scenes.lower, scenes.upper)]
+        if not (len(place) and all_finite(place)):
+            return place
+        if found is not None and found.pairs is not None and compiles(found.position):
+            known = (found.position.contiguous().numpy(), found.radius, found.pairs.numpy())
+            sweeps = move_apart(place, *known, np.float32(least), sweeps, *boxes)
+        while sweeps:
+            position = torch.from_numpy(place)
+            pairs = radius_graph(position, 2 * least, scenes.batch, num_graphs=scenes.num_graphs)
+            sweeps = move_apart(place, place.copy(), 2 * least, pairs.numpy(), np.float32(least), sweeps, *boxes)
+        return place
+
+    def _dissipating(self, history: Tensor, position: Tensor, scenes: SceneBatch) -> Tensor | None:
         """Return what scales velocities down where energy rose: the largest s in [0, 1] with E(s) ≤ E_before [N, 1].
+
+        None where none is to be scaled, if that is known without waiting.
 
         E(s) = Σ m (s² v²/2 − g · (x + s v Δt/2)) is quadratic in s: the energy in the middle of the step, which free
         fall keeps. Particles weigh what they fill, exact for one density; a halt is what is left where no s does. Where
         kinematic particles move they do work, and nothing is scaled.
         """
-        before, earlier = history[:, -1], history[:, -2]
-        frames = (earlier, before, position)
+        frames = (history[:, -2], history[:, -1], position)
+        if compiles(*frames, scenes.volume, scenes.gravity, scenes.lower):
+            tensors = (*frames, scenes.volume, scenes.moved, scenes.batch, scenes.gravity, scenes.lower, scenes.upper)
+            scales = slowing(self.config.dt, ROUNDING, *(tensor.numpy() for tensor in tensors))
+            return scenes.of_particles(torch.from_numpy(scales)[:, None]) if (scales < 1).any() else None
         quadratic, linear, height, past, pushed = self._energies(frames, scenes).unbind(1)
         there = past + height
         allowed = there * (1 + ROUNDING) - height
@@ -125,7 +181,10 @@ class StableStepper:
         return scenes.of_particles(factor[:, None])
 
     def _energies(self, frames: tuple[Tensor, Tensor, Tensor], scenes: SceneBatch) -> Tensor:
-        """Return of every scene, in double precision, what `loops.energies` says [B, 5].
+        """Return of every scene, in double precision, what its energy is made of [B, 5].
+
+        Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it;
+        motion and height of the step before; motion of what a script moves.
 
         Args:
             frames: positions two steps ago, one step ago and now, each [N, D] [m].
@@ -133,9 +192,6 @@ class StableStepper:
         """
         dt, volume, gravity = self.config.dt, scenes.volume, scenes.gravity
         lowest = torch.where(gravity > 0, scenes.upper, scenes.lower)
-        if compiles(*frames, volume, gravity):
-            arrays = (*frames, volume, scenes.moved, scenes.batch, gravity, lowest)
-            return torch.from_numpy(energies(*(tensor.numpy() for tensor in arrays), dt))
         earlier, before, position = frames
         gravity, lowest = scenes.of_particles(gravity), scenes.of_particles(lowest)
         velocity, past = (position - before) / dt, (before - earlier) / dt

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError
+from gns_pl.io.stream import add_provenance
 from gns_pl.models.shipped import existing_checkpoint
 from gns_pl.rollout.policy import Policy
 from gns_pl.scene import Scene
@@ -21,7 +22,18 @@ from gns_pl.solvers.catalogue import load_solver, make_solvers
 from gns_pl.solvers.folder import alone, prepare
 from gns_pl.solvers.mpm import FRAME_INTERVAL, MPMSolver
 from gns_pl.solvers.named_scene import named_scene
-from gns_pl.solvers.selection import RECORDS, Option, choose, estimate, kind_of, read_records, table
+from gns_pl.solvers.selection import (
+    RECORDS,
+    WORSE,
+    Option,
+    check_quantity,
+    choose,
+    estimate,
+    kind_of,
+    listed,
+    read_records,
+    table,
+)
 from gns_pl.solvers.solver import Solver, characteristic_size
 from gns_pl.text import command
 
@@ -62,6 +74,9 @@ def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
             "ckpt= names the solver already; leave it out, and tolerance=, solver=, explain= choose one (cell_size= "
             "and check= are MPM's)."
         )
+    check_quantity(settings["tolerance_of"])
+    if settings["tolerance_of"] != WORSE and tolerance is None:
+        raise InputError("tolerance_of= says of which quantity a tolerance is; give one, as tolerance=0.05.")
     if cell_size is not None and not solver:
         raise InputError("cell_size= is that of solver=mpm; tolerance= chooses among choice.cells.")
     policy = Policy(settings["stabilise"], settings["acceleration"], settings["rest_speed"])
@@ -76,7 +91,7 @@ def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
     how: dict[str, Any] = {"out": Path(settings["out"]), "seed": settings["seed"], "monitor": settings["monitor"]}
     if of_ckpt is not None:
         return simulate(of_ckpt, scenes, interval=choice["frame_interval"], **how)
-    how |= {"tolerance": tolerance, "explain": explain, "solver": solver, "cell_size": cell_size, "check": check}
+    how |= {key: settings[key] for key in ("tolerance", "tolerance_of", "explain", "solver", "cell_size", "check")}
     return simulate_by_choice(scenes, choice=choice, policy=policy, device=settings["device"], **how)
 
 
@@ -86,6 +101,7 @@ def simulate_by_choice(
     out: Path,
     choice: Mapping[str, Any],
     tolerance: float | None = None,
+    tolerance_of: str = WORSE,
     explain: bool = False,
     solver: str | None = None,
     cell_size: float | None = None,
@@ -101,7 +117,8 @@ def simulate_by_choice(
         scenes: what to simulate; their names name the files.
         out: folder; made.
         choice: what there is to choose from (conf/choice).
-        tolerance: largest error, the worse of front and map, relative; None only explains.
+        tolerance: largest error, relative; None only explains.
+        tolerance_of: the quantity it is of, "front", "map", "height", or "worse", that of front and map.
         explain: show the solvers, and run none.
         solver: name of the one to take, whatever it is worth (`load_solver`); None chooses.
         cell_size: of "mpm" [m]; None takes the finest of the choice.
@@ -124,10 +141,14 @@ def simulate_by_choice(
         candidates = make_solvers(choice, policy)
     machine = ", ".join(sorted({f"{record.device}, {record.threads} threads" for record in records}))
     chosen: list[Solver] = []
+    notes: list[dict[str, object]] = []
     for scene in scenes:
-        option = _choose(estimate(scene, candidates, records), scene, tolerance, machine, asked=bool(solver))
+        options = estimate(scene, candidates, records)
+        option = _choose(options, scene, tolerance, tolerance_of, machine, asked=bool(solver))
         if option is not None:
             chosen.append(option.solver)
+            promise = {"tolerance": tolerance, "of": tolerance_of, "expected_error": option.errors.get(tolerance_of)}
+            notes.append({} if solver else {"choice": promise})
             _tell_notices(option.solver, scene, check)
     # One object for each solver, so that scenes of one are stepped together.
     on_device = {one.name: one.on(device) for one in chosen}
@@ -135,7 +156,7 @@ def simulate_by_choice(
         return []
     chosen = [on_device[one.name] for one in chosen]
     interval = choice["frame_interval"]
-    paths = simulate(chosen, scenes, out=out, seed=seed, interval=interval, monitor=monitor)
+    paths = simulate(chosen, scenes, out=out, seed=seed, interval=interval, monitor=monitor, notes=notes)
     for one, scene, path in zip(chosen, scenes, paths, strict=True):
         if check and isinstance(one, MPMSolver) and one.group == "mpm":
             simulate(one.coarser(CHECK_CELLS), [scene], out=out, files=[check_path(path)], seed=seed, interval=interval)
@@ -151,6 +172,7 @@ def simulate(
     interval: float = FRAME_INTERVAL,
     monitor: bool = True,
     files: Sequence[Path] | None = None,
+    notes: Sequence[Mapping[str, object]] = (),
 ) -> list[Path]:
     """Run scenes, every frame into `out`/NAME.h5 as soon as it is made.
 
@@ -165,6 +187,7 @@ def simulate(
         interval: time between frames, of solvers that have none of their own [s].
         monitor: what fails ends with a message; False goes on as long as numbers are finite.
         files: in the place of `out`/NAME.h5.
+        notes: of every scene, what the provenance of its file says besides; it does not tell runs apart.
 
     Returns:
         The files, in the order of the scenes.
@@ -193,6 +216,8 @@ def simulate(
                     monitor=monitor,
                     rank=rank,
                 )
+                for number in numbers if rank == 0 and notes else ():
+                    add_provenance(paths[number], notes[number])
     except KeyboardInterrupt:
         raise SystemExit("simulate.py: stopped; the same command goes on where it was.") from None
     return paths
@@ -228,7 +253,7 @@ def existing_file(ckpt: str, choice: Mapping[str, Any]) -> str:
 
 
 def _choose(
-    options: Sequence[Option], scene: Scene, tolerance: float | None, machine: str, *, asked: bool
+    options: Sequence[Option], scene: Scene, tolerance: float | None, of: str, machine: str, *, asked: bool
 ) -> Option | None:
     """Print what there is to choose from, and return what is taken, or None where nothing has to be."""
     kind = "in plane strain" if kind_of(scene) == "plane" else "in three dimensions"
@@ -236,10 +261,10 @@ def _choose(
     if asked:
         option, why = options[0], f"as asked for; {_worth(options[0])}"
     else:
-        print(f"{table(options, scene)}\nerrors (the worse of front and final map) and times as measured on {machine}")
+        print(f"{table(options, scene)}\nerrors of final front, map and mean height, and times measured on {machine}")
         if tolerance is None:
             return None
-        option, why = choose(options, tolerance)
+        option, why = choose(options, tolerance, of)
     description = option.solver.reduced(scene).description
     print(f"chosen: {option.solver.name}, {why}{f'; {description}' if description else ''}", flush=True)
     return option
@@ -259,4 +284,4 @@ def _worth(option: Option) -> str:
         return f"its error on this scene is unmeasured ({option.reason})"
     if option.error is None:
         return f"its error on this scene is unmeasured ({option.unmeasured})"
-    return f"on scenes like this one it erred by up to {100 * option.error:.1f} %"
+    return f"on scenes like this one it erred by up to {listed(option.errors)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, cast
 
+import torch
 from lightning.pytorch import LightningModule
 from torch import Tensor
 
@@ -42,9 +43,18 @@ class LearningModule(LightningModule):
         self.log("loss", joined, prog_bar=True, batch_size=1)
         return {"loss": loss, "joined": cast(Tensor, joined), "skippable": self.skips_non_finite}
 
+    def on_train_batch_start(self, batch: Any, batch_index: int) -> None:
+        """Begin with the weights of the training again."""
+        self._say_that_weights_changed()
+
     def on_validation_epoch_start(self) -> None:
         """Begin a new table of errors."""
+        self._say_that_weights_changed()
         self._validation = ValidationTable()
+
+    def _say_that_weights_changed(self) -> None:
+        """Have what `nn` packs of weights packed anew: Lightning swaps an average in and out, unseen by autograd."""
+        torch.autograd.graph.increment_version(list(self.parameters()))
 
     def on_validation_epoch_end(self) -> None:
         """Log the means over all trajectories."""

@@ -112,6 +112,7 @@ class SimulatorModule(LearningModule):
 
     def on_train_batch_start(self, batch: Any, batch_index: int) -> None:
         """Begin the steps of whole runs with an optimiser that remembers nothing of the others' gradients."""
+        super().on_train_batch_start(batch, batch_index)
         if self.global_step == self.first_rollout:
             forget(self.trainer.optimizers[0])
 

@@ -14,8 +14,8 @@ from torch import Tensor
 from gns_pl.rollout.gradient import differentiable_distance, differentiable_front, differentiable_volume_map
 from gns_pl.trajectory import Observables, Trajectory
 
-ERRORS = ("map", "height", "front", "energy")
-"""Volume map, mean height, advance of the 99 % front, kinetic energy."""
+ERRORS = ("map", "height", "front", "energy", "rise")
+"""Volume map, mean height, advance of the 99 % front, kinetic energy, rises of the energy of motion and height."""
 
 COMPARED = 10
 """So many frames of a whole run are compared, evenly spaced, and the last one of a shorter run."""
@@ -42,7 +42,7 @@ def compared_frames(whole: int, last: int) -> list[int]:
 
 
 def outcome_errors(frames: Tensor, start: Trajectory, fine: Observables, compared: Sequence[int]) -> Tensor:
-    """Return the relative squared errors of a run, means over the frames that are compared [len(ERRORS)].
+    """Return the errors of a run, relative and but for "rise" squared, means over the frames compared [len(ERRORS)].
 
     With V the volume of every node, h the mean height over the floor, z the advance of the front, E the kinetic energy
     and f the fine run:
@@ -50,7 +50,11 @@ def outcome_errors(frames: Tensor, start: Trajectory, fine: Observables, compare
     - map: Σ (V − V_f)² / Σ V_f²
     - height: (h − h_f)² / h_f²
     - front: (z − z_f)² / Z², with Z the advance of the fine run at its end (`LEAST_ADVANCE`)
-    - energy: (√E − √E_f)² / max E_f, of speeds: what creeps where all is at rest is not lost in the peak.
+    - energy: (√E − √E_f)² / max E_f in the second half of the fine run, 0 before. Of speeds: what creeps where all is
+      at rest is not lost in the peak. Early, when all accelerates, displacements over different intervals are not the
+      same speeds.
+    - rise: Σ max(0, E' − E'_before) / max E_f over all steps, E' the energy of motion and height in the middle of a
+      step, which free fall keeps. Runs of users are held wherever it rises (`rollout.stabilise`).
 
     Args:
         frames: positions of the run [T, N, D] [m], one step of the simulator apart.
@@ -81,7 +85,19 @@ def outcome_errors(frames: Tensor, start: Trajectory, fine: Observables, compare
             (volumes - wanted).square().sum() / wanted.square().sum(),
             (height / float(fine.mean_height[number]) - 1).square(),
             ((front(frame) - first - float(advance[number])) / reach).square(),
-            (speed - fine_speed).square() / most,
+            (speed - fine_speed).square() / most * (2 * number >= len(fine.kinetic_energy)),
         ]
         errors.append(torch.stack(parts))
-    return torch.stack(errors).mean(dim=0)
+    rise = _rises(frames[: compared[-1] + 1], start, mass).sum() / most
+    return torch.cat([torch.stack(errors).mean(dim=0), rise[None]])
+
+
+def _rises(frames: Tensor, start: Trajectory, mass: Tensor) -> Tensor:
+    """Return by how much every step raises the energy of motion and height [T - 1] [J]."""
+    velocity = frames.diff(dim=0) / start.dt
+    released = torch.from_numpy(start.initial_velocity).to(velocity)
+    velocity = torch.cat([released[None], velocity])
+    middle = torch.cat([frames[:1] - released * start.dt / 2, (frames[1:] + frames[:-1]) / 2])
+    gravity = velocity.new_tensor(start.scene.gravity)
+    energy = ((velocity.square() / 2 - gravity * middle).sum(dim=2) * mass).sum(dim=1)
+    return energy.diff().clamp_min(0)

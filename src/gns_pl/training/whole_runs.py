@@ -1,8 +1,8 @@
 """Training on whole runs: from the cold start that a user gets to the end, against what all points of the fine run did.
 
 A network that makes every step well may still make runs that are short, since the points that a data set keeps are not
-the whole run and small common errors add up. Here a run is made as `LearnedSolver` makes it, stabilised, and the
-derivative of its errors (`outcomes`) goes back through all of its steps (`rollout.gradient`).
+the whole run and small common errors add up. Here a run is made as `LearnedSolver` makes it, stabilised as far as
+that has derivatives (`TRAINED`), and those of its errors (`outcomes`) go back through all steps (`rollout.gradient`).
 
 Which scenes a step rolls out, and how they are filled, follows from the seed and the number of the step alone.
 """
@@ -34,6 +34,11 @@ from gns_pl.training.config import RolloutPhase
 from gns_pl.training.outcomes import COMPARED, ERRORS, compared_frames, outcome_errors
 from gns_pl.training.symmetry import Symmetry
 from gns_pl.trajectory import Observables, Trajectory
+
+TRAINED = {"energy_limiter": False, "sleep": 0.02}
+"""What stabilises these runs otherwise than others (conf/rollout/stable.yaml). Neither the halt of a scene whose energy
+would rise nor sleep has a derivative: a network that once began a column so was held at rest by them and never learned
+to let it go. Instead a rise of the energy is an error (`outcomes`), and what is slower than a fifth sleeps [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -141,9 +146,8 @@ class WholeRuns:
             velocity = turn.turned(velocity[:, None], scenes.batch, vectors=True)[:, 0]
             turned = turn.scenes(scenes)
         # The shorter runs go on beside the longest one; what they do there has no errors.
-        frames = differentiable_rollout(
-            simulator, position, velocity, turned, max(lengths), stabilised=Policy().stabilise
-        )
+        settings = {**Policy().stabilise, **TRAINED}
+        frames = differentiable_rollout(simulator, position, velocity, turned, max(lengths), stabilised=settings)
         if not bool(torch.isfinite(frames[-1].detach()).all()):
             nothing = torch.stack([parameter.sum() for parameter in simulator.parameters()]).sum()
             return nothing * torch.full((len(ERRORS),), math.nan, device=frames.device)

@@ -20,7 +20,7 @@ from gns_pl.io import read_trajectory
 from gns_pl.presets import FOLDER, preset
 from gns_pl.scene import Scene, read_scene
 from gns_pl.solvers.mpm import MPMSolver
-from gns_pl.solvers.selection import kind_of
+from gns_pl.solvers.selection import FINE_ERRORS, kind_of
 from tests.conftest import MPM
 from tests.evaluation.made_up import LENGTH, column, spreading, standing
 from tests.solvers.test_selection import column as rough_column
@@ -118,6 +118,7 @@ def test_the_package_s_references_are_of_its_scenes_and_settings(
     mpm, columns = preset("choice/default")["mpm"], preset("evaluation/columns")
     how = {"only": None, "domain": columns["domain"], "duration": columns["duration"], "interval": 0.02}
     scenes = [read_scene(name) for name in preset("evaluation/general")["scenes"]]
+    unsure: dict[str, list[float]] = {"map": [], "height": []}
     for sides in ({}, {"y-": {"condition": "slip"}, "y+": {"condition": "slip"}}):
         paper = preset("data/_paper")
         data = {**paper, "walls": {**paper["walls"], **sides}}
@@ -127,5 +128,9 @@ def test_the_package_s_references_are_of_its_scenes_and_settings(
         fine = converged(scene, mpm=mpm, interval=0.02, cache=tmp_path, order=settings["order"], **kept)
         assert fine.facts.front > 0 and fine.observed.volumes.ndim == (1 if kind_of(scene) == "plane" else 2)
         assert max(fine.uncertainty[measure] for measure in ("front", "map")) < 0.15
+        for measure, values in unsure.items():
+            values.append(fine.uncertainty[measure])
+    for measure, values in unsure.items():
+        assert np.sqrt(np.mean(np.square(values))) == pytest.approx(FINE_ERRORS[measure], abs=1e-3)
     assert len(scenes) == 10 == len(list(SHIPPED.glob("*.json")))
     assert not list(tmp_path.iterdir()) and all(path.stat().st_size < 20_000 for path in SHIPPED.glob("*.json"))
