@@ -136,14 +136,6 @@ class CorrectedRunsModule(LearningModule):
         """Whole runs break now and then."""
         return True
 
-    def on_train_batch_start(self, batch: int, batch_index: int) -> None:
-        """Count the weights as changed: those that a validation has put back are packed anew (`nn.packed`).
-
-        Averages are swapped in and out without a trace that the packed network could see.
-        """
-        with torch.no_grad():
-            torch._foreach_mul_(list(self.parameters()), 1.0)
-
     def loss(self, batch: int) -> Tensor:
         """Return the weighted errors of a step's runs []."""
         try:
