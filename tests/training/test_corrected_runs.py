@@ -168,7 +168,7 @@ def test_what_it_cannot_use_is_refused(root: Path, tmp_path: Path) -> None:
         ({"model": {"coarse": "shallow-fitted"}}, "shallow-fitted is no retuned MPM"),
         ({"model": {"connectivity_radius": 0.5}}, "reaches no neighbour"),
         ({"model": {"largest": -1}}, r"model\.largest must be positive"),
-        ({"training": {"weights": {"map": 0, "height": 0, "front": 0, "energy": 0}}}, "must be above 0"),
+        ({"training": {"weights": {"map": 0, "height": 0, "front": 0, "energy": 0, "rise": 0}}}, "must be above 0"),
         ({"training": {"scenes": 0}}, "scenes must be a whole number"),
         ({"ckpt": "collapse"}, "begins with random weights"),
         ({"trainer": {"devices": 2}}, "one process on a CPU"),

@@ -74,7 +74,9 @@ class FineRuns(TrajectoryDataModule):
         train = [d / name for d, manifest in manifests for name in manifest.splits["train"][: training.num_train]]
         valid = [d / name for d, manifest in manifests for name in manifest.splits["valid"]]
         self.train_names, self.valid_names = tuple(map(str, train)), tuple(map(str, valid))
-        self.train_set = [read_fine_run(path, self.stride) for path in train]  # type: ignore[assignment]
+        self.train_set: list[FineRun] = [  # type: ignore[assignment]
+            read_fine_run(path, self.stride) for path in train
+        ]
         self.valid_set = [read_fine_run(path, self.stride) for path in valid]
 
     def setup(self, stage: str) -> None:
@@ -89,7 +91,7 @@ class FineRuns(TrajectoryDataModule):
         numbers: Any = range(self.num_steps)
         return DataLoader(numbers, sampler=StepNumbers(self._steps_made, self.num_steps), batch_size=None)
 
-    def val_dataloader(self) -> DataLoader[int]:
+    def val_dataloader(self) -> DataLoader[int]:  # type: ignore[override]
         """Return the numbers of the validation scenes."""
         numbers: Any = range(len(self.valid_set))
         return DataLoader(numbers, batch_size=None)
