@@ -106,7 +106,7 @@ def test_a_whole_run_from_two_folders_gives_the_same_numbers(tmp_path) -> None:
 
 def test_the_name_that_was_typed_is_the_name_everywhere(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert named_checkpoints(["column-fast"]) == {"column-fast": FOLDER / "collapse.ckpt"}
+    assert named_checkpoints(["column-fast"]) == {"column-fast": FOLDER / "column-fast.ckpt"}
     assert named_checkpoints(["collapse"]) == {"collapse": FOLDER / "collapse.ckpt"}
     assert default_folder("column-fast", named_checkpoints(["column-fast"])) == Path("runs/column-fast/evaluation")
     paths = [tmp_path / name for name in ("a/best.ckpt", "a/last.ckpt", "b/a/last.ckpt", "mine.ckpt")]

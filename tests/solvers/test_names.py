@@ -10,7 +10,7 @@ from hydra import compose, initialize_config_dir
 
 from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
-from gns_pl.models.shipped import ALIASES, corrector_names, pretrained_names
+from gns_pl.models.shipped import corrector_names, pretrained_names
 from gns_pl.scene import Box, Scene, write_scene
 from gns_pl.solvers.simulate import simulate_config
 from tests.solvers.simulated import simulate_learned
@@ -31,7 +31,15 @@ def run(folder: Path, name: str, scene: Scene, *more: str, key: str = "ckpt") ->
 
 
 @pytest.mark.parametrize(
-    "name", ["collapse_plane", "friction_plane", "column-fast-plane", *corrector_names(), "collapse_plane_then_mpm"]
+    "name",
+    [
+        "collapse_plane",
+        "friction_plane",
+        "column-fast-plane",
+        "friction-fast-plane",
+        *corrector_names(),
+        "collapse_plane_then_mpm",
+    ],
 )
 def test_what_is_of_two_dimensions_runs_a_column_between_smooth_walls(name: str, tmp_path: Path) -> None:
     scene = column().replace(duration=0.1)
@@ -44,7 +52,13 @@ def test_what_is_of_two_dimensions_runs_a_column_between_smooth_walls(name: str,
 
 
 def test_every_name_is_tried_here_or_is_of_three_dimensions() -> None:
-    assert {*pretrained_names(), *ALIASES.values()} == {"collapse", "collapse_plane", "friction_plane"}
+    space = {"collapse", "column-fast", "general-fast"}
+    assert set(pretrained_names()) - space == {
+        "collapse_plane",
+        "column-fast-plane",
+        "friction-fast-plane",
+        "friction_plane",
+    }
     assert corrector_names() == ["corrected", "corrected_plane"]
 
 
@@ -58,11 +72,11 @@ def test_what_is_no_slice_is_refused_with_the_reason(name: str, tmp_path: Path) 
     assert not list(tmp_path.rglob("*.h5*"))
 
 
-def test_an_alias_is_a_name_of_the_solver_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_of_models_are_names_of_solvers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(tmp_path / "other", "friction_plane", column().replace(duration=0.02), key="solver")
     assert "chosen: friction_plane, as asked for; its error on this scene is unmeasured" in capsys.readouterr().out
-    run(tmp_path / "alias", "column-fast-plane", column().replace(duration=0.02), key="solver")
-    assert "chosen: collapse_plane, as asked for" in capsys.readouterr().out
+    run(tmp_path / "one", "column-fast-plane", column().replace(duration=0.02), key="solver")
+    assert "chosen: column-fast-plane, as asked for" in capsys.readouterr().out
     with pytest.raises(InputError, match=r"cell_size= and check= are MPM's"):
         run(tmp_path, "collapse_plane", column(), "check=true")
     with pytest.raises(InputError, match="give scene= and either ckpt= or tolerance="):

@@ -10,10 +10,6 @@ from gns_pl.text import did_you_mean
 
 FOLDER = Path(__file__).parents[1] / "pretrained"
 
-ALIASES = {"column-fast": "collapse", "column-fast-plane": "collapse_plane"}
-"""What a model is for, as a name → that of its experiment, file and card."""
-
-
 CORRECTOR = ".corrector"
 """Ending of the files that correct coarse MPM."""
 
@@ -35,9 +31,8 @@ def corrector_names() -> list[str]:
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """Return the path of a checkpoint: that of a model of the package if its bare name or alias is given."""
-    name = ALIASES.get(str(path), str(path))
-    return FOLDER / f"{name}.ckpt" if name in pretrained_names() and not Path(path).is_file() else Path(path)
+    """Return the path of a checkpoint: that of a model of the package if its bare name is given."""
+    return FOLDER / f"{path}.ckpt" if str(path) in pretrained_names() and not Path(path).is_file() else Path(path)
 
 
 def find_corrector(path: str | Path) -> Path:
@@ -80,7 +75,7 @@ def existing_checkpoint(path: str | Path, also: Iterable[str] = ()) -> Path:
     file = find_checkpoint(path)
     if file.is_file():
         return file
-    known = sorted([*pretrained_names(), *ALIASES, *also])
+    known = sorted([*pretrained_names(), *also])
     beside = [str(checkpoint) for checkpoint in sorted(file.parent.glob("*.ckpt"))]
     raise InputError(
         f"{path}: there is no such checkpoint{did_you_mean(str(path), [*known, *beside])}; "

@@ -10,7 +10,6 @@ from typing import Any
 from gns_pl.errors import InputError
 from gns_pl.extensions import imported
 from gns_pl.models.shipped import (
-    ALIASES,
     corrector_names,
     existing_checkpoint,
     find_checkpoint,
@@ -144,7 +143,7 @@ def load_solver(
 def known_names(choice: Mapping[str, Any]) -> list[str]:
     """Return the names by which solvers can be asked for."""
     cells = [f"mpm_{cells:g}" for cells in choice.get("cells", ())]
-    shipped = [*pretrained_names(), *ALIASES, *corrector_names(), *fitted_names(), *(choice.get("hybrid") or {})]
+    shipped = [*pretrained_names(), *corrector_names(), *fitted_names(), *(choice.get("hybrid") or {})]
     return list(dict.fromkeys(["mpm", *cells, *shipped, *(choice.get("shallow") or {}), *REGISTERED]))
 
 
