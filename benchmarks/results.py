@@ -47,15 +47,13 @@ RESULTS = ROOT / "docs" / "results.csv"
 MODELS = (
     "column-fast",
     "general-fast",
-    "corrected",
     "column-fast-plane",
-    "friction-fast-plane",
+    "friction_plane",
     "corrected_plane",
     "collapse",
     "collapse_plane",
-    "friction_plane",
 )
-BASES = ("collapse", "collapse_plane", "friction_plane")
+BASES = ("collapse", "collapse_plane")
 """What others are trained on from; not in the README."""
 
 TAGS = ["granular-flow", "physics-simulation", "graph-neural-network", "material-point-method", "pytorch"]
