@@ -45,26 +45,6 @@ def test_other_cells_give_their_largest_change(tmp_path: Path, monkeypatch: pyte
         reference_of(column(), checkpoint, cache=tmp_path, seed=0, cells=[-1])
 
 
-def test_a_model_of_drawn_points_starts_from_and_is_shown_drawn_points(tmp_path: Path) -> None:
-    """As those of its data are; one of lattices starts in the middles of cells, and from the middle lattice."""
-    scene = column(length=0.45).replace(duration=0.02)
-    fine = {**MPM, "cell_size": 0.1, "points_per_direction": 2, "jitter": 0.7}
-    data = {**DATA, "mpm": fine, "store_every": [3], "every": 3}
-    outermost = {}
-    for sampling in ("lattice", "stratified"):
-        checkpoint = Checkpoint(make_simulator(dt=0.02, spacing=0.15), {**data, "sampling": sampling}, {})
-        found = reference_of(scene, checkpoint, cache=tmp_path, seed=1, placements=3)
-        stored = found.trajectory
-        assert stored.provenance.get("sampling", "lattice") == sampling
-        for start in found.starts:
-            assert start.position.min() > 0 and start.num_particles == found.starts[0].num_particles
-        assert stored.mass.sum() == pytest.approx(found.starts[0].mass.sum(), rel=1e-5)
-        right = scene.bodies[0].upper[0] - 0.05  # of the outermost of the fine layers
-        positions = [stored.position[0], *(start.position[0] for start in found.starts)]
-        outermost[sampling] = [bool((position[:, 0] > right).any()) for position in positions]
-    assert outermost == {"lattice": [False] * 4, "stratified": [True] * 4}
-
-
 def test_the_same_run_has_no_spread() -> None:
     values = resolution_spread(Measured(spreading()), [spreading()], SPACING)
     assert max(values.values()) < 1e-6 and resolution_spread(Measured(spreading()), [], SPACING) == {}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
-from gns_pl.generation.thinning import drawn_points, fill_drawn, kept_points, stored_counts, thin_trajectory
+from gns_pl.generation.thinning import drawn_points, kept_points, stored_counts, thin_trajectory
 from gns_pl.mpm.settings import place_points
 from gns_pl.scene import Body, Box, Material, Plane, Scene, Wall
 from gns_pl.trajectory import Trajectory
@@ -154,19 +154,3 @@ def test_blocks_side_by_side_share_the_layers_out(drop: Scene) -> None:
             number = np.bincount(lattice[:, axis], minlength=5)
             assert set(number[:3]) == {1, 2} and number[:3].sum() == 4
             assert number[3:].tolist() == [2, 2]
-
-
-def test_a_filling_is_drawn_as_points_are(drop: Scene) -> None:
-    """A cube of 0.3 m at 0.1 m has 3 cells each way, of which 9 touch a face: 3 have the outermost of 3 layers."""
-    (body,) = drop.bodies
-    for jitter, inner in ((0.0, 0.0), (0.7, 0.35)):
-        particles = fill_drawn(drop, 0.1, 3, jitter=jitter, generator=np.random.default_rng(1))
-        assert len(particles.position) == 27
-        fine = (particles.position - np.array(body.position)) / (0.1 / 3)
-        layer = np.floor(fine)
-        np.testing.assert_array_equal(layer // 3, particles.lattice)
-        assert np.abs(fine - layer - 0.5).max() <= inner + 1e-12
-        for axis in range(3):
-            assert np.bincount(layer[:, axis].astype(int)).tolist() == [3] * 9
-    same = fill_drawn(drop, 0.1, 3, jitter=0.7, generator=np.random.default_rng(1))
-    np.testing.assert_array_equal(same.position, particles.position)

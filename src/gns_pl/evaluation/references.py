@@ -12,7 +12,7 @@ import numpy as np
 
 from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
-from gns_pl.generation import chosen_every, is_imported, is_stratified, reference_trajectory, thin_trajectory
+from gns_pl.generation import chosen_every, is_imported, reference_trajectory, thin_trajectory
 from gns_pl.io import MANIFEST_NAME, read_manifest, read_trajectory
 from gns_pl.metrics.measures import particle_spacing, sinkhorn_distance
 from gns_pl.metrics.summary import Measured, profile_l1, summarise
@@ -91,8 +91,7 @@ def reference_of(
     def thinned(whole: Trajectory, seed: int) -> Trajectory:
         every = chosen_every(checkpoint.data)
         # Of the lattices to choose from, the one that stands least to one side.
-        offset = None if is_stratified(checkpoint.data) else [(every - 1) // 2] * scene.dim
-        return thin_trajectory(whole, mpm, seed, every, offset)
+        return thin_trajectory(whole, mpm, seed, every, [(every - 1) // 2] * scene.dim)
 
     whole = Measured(solved(scene, seed))
     others = [solved(scene, seed, size) for size in cells]

@@ -9,21 +9,19 @@ imported only when there is something to simulate.
 from gns_pl.generation.dataset import generate_dataset, missing_bytes
 from gns_pl.generation.families import Planned, draw_plan
 from gns_pl.generation.reference import reference_trajectory
-from gns_pl.generation.spec import DatasetSpec, chosen_every, is_stratified
+from gns_pl.generation.spec import DatasetSpec, chosen_every
 from gns_pl.generation.stored import find_dataset, is_dataset, is_imported, resolved_data
-from gns_pl.generation.thinning import fill_drawn, thin_trajectory
+from gns_pl.generation.thinning import thin_trajectory
 
 __all__ = [
     "DatasetSpec",
     "Planned",
     "chosen_every",
     "draw_plan",
-    "fill_drawn",
     "find_dataset",
     "generate_dataset",
     "is_dataset",
     "is_imported",
-    "is_stratified",
     "missing_bytes",
     "reference_trajectory",
     "resolved_data",

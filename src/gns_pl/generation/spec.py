@@ -119,11 +119,6 @@ def chosen_every(data: Mapping[str, Any]) -> int:
     return int(every)
 
 
-def is_stratified(data: Mapping[str, Any]) -> bool:
-    """Return whether the points that are stored of a data set, given as plain values, are drawn in blocks."""
-    return data.get("sampling") == "stratified"
-
-
 def _with_scenes(families: Any) -> Any:
     """Return families whose files of scenes are read, so that a specification is whole without them."""
     if not isinstance(families, Mapping):

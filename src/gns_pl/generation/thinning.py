@@ -124,33 +124,6 @@ def _drawn_places(
     return np.asarray(drawn.T)
 
 
-def fill_drawn(scene: Scene, spacing: float, every: int, *, jitter: float, generator: np.random.Generator) -> Particles:
-    """Fill every body at a coarse spacing with particles where points that were drawn of a fine filling lie.
-
-    Each cell of `fill_scene` has a particle at one of k^D fine places, drawn as by `drawn_points`.
-
-    Args:
-        scene: what to fill.
-        spacing: wanted distance of neighbouring particles [m].
-        every: k.
-        jitter: largest random offset along each axis, in halves of the fine spacing.
-        generator: of the draws.
-
-    Raises:
-        InputError: as `fill_scene`.
-    """
-    particles = fill_scene(scene, spacing)
-    position = particles.position.copy()
-    for index, body in enumerate(scene.bodies):
-        inside = np.flatnonzero(particles.body == index)
-        number = np.maximum(1, np.rint(np.array(body.size) / spacing).astype(np.int64))
-        block = np.ravel_multi_index(tuple(particles.lattice[inside].T), tuple(number))
-        place = _drawn_places(number, every * number, generator)[block]
-        offset = place + 0.5 + 0.5 * jitter * generator.uniform(-1, 1, place.shape)
-        position[inside] = np.array(body.position) + offset * np.array(body.size) / (every * number)
-    return replace(particles, position=position)
-
-
 def thin_trajectory(
     trajectory: Trajectory, mpm: Mapping[str, Any], seed: int, every: int, offset: Offset
 ) -> Trajectory:

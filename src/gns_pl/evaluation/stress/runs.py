@@ -13,7 +13,7 @@ import numpy as np
 
 from gns_pl.evaluation.stress.momentum import momentum_residual
 from gns_pl.evaluation.stress.suite import StressScene
-from gns_pl.generation import chosen_every, fill_drawn, is_stratified, reference_trajectory, thin_trajectory
+from gns_pl.generation import chosen_every, reference_trajectory, thin_trajectory
 from gns_pl.metrics.measures import centre_of_mass, particle_spacing
 from gns_pl.models.checkpoint import Checkpoint
 from gns_pl.mpm import settings as solver
@@ -164,8 +164,7 @@ def _learned(subject: Subject, stress: StressScene, seed: int, cache: Path) -> O
         whole = reference_trajectory(
             settling, data["mpm"], frame_interval=interval, seed=seed, cache_directory=cache, progress=False
         )
-        offset = None if is_stratified(data) else [(every - 1) // 2] * scene.dim
-        fine = thin_trajectory(whole, data["mpm"], seed, every, offset)
+        fine = thin_trajectory(whole, data["mpm"], seed, every, [(every - 1) // 2] * scene.dim)
         start = replace(
             fine,
             position=fine.position[-1:],
@@ -174,9 +173,8 @@ def _learned(subject: Subject, stress: StressScene, seed: int, cache: Path) -> O
             initial_velocity=np.zeros_like(fine.initial_velocity),
         )
     else:
-        jitter, drawn = float(data.get("mpm", {}).get("jitter", 0.0)), is_stratified(data) and stress.jitter is None
-        jitter = jitter if drawn else jitter / every if stress.jitter is None else stress.jitter
-        particles = _filled(stress, config.spacing * stress.coarseness, jitter, seed, every if drawn else 1)
+        jitter = float(data.get("mpm", {}).get("jitter", 0.0)) / every if stress.jitter is None else stress.jitter
+        particles = _filled(stress, config.spacing * stress.coarseness, jitter, seed)
         start = start_trajectory(scene, particles, config.dt, {})
     watch = Watch(start, config.dt)
     began = time.perf_counter()
@@ -221,12 +219,9 @@ def _solved(subject: Subject, stress: StressScene, seed: int, cache: Path) -> Ou
     return trajectory, watch, time.perf_counter() - began, True, None
 
 
-def _filled(stress: StressScene, spacing: float, jitter: float, seed: int, every: int = 1) -> Particles:
+def _filled(stress: StressScene, spacing: float, jitter: float, seed: int) -> Particles:
     scene, generator = stress.scene, np.random.default_rng(seed)
-    if every > 1:
-        particles = fill_drawn(scene, spacing, every, jitter=jitter, generator=generator)
-    else:
-        particles = fill_scene(scene, spacing, jitter=jitter, generator=generator)
+    particles = fill_scene(scene, spacing, jitter=jitter, generator=generator)
     position = particles.position + stress.displaced * spacing * generator.standard_normal(particles.position.shape)
     margin = 0.25 * spacing  # a point may not begin in a wall
     inside = np.clip(position, np.array(scene.lower) + margin, np.array(scene.upper) - margin)
