@@ -171,7 +171,7 @@ def test_what_it_cannot_use_is_refused(root: Path, tmp_path: Path) -> None:
         ({"training": {"weights": {"map": 0, "height": 0, "front": 0, "energy": 0, "rise": 0}}}, "must be above 0"),
         ({"training": {"scenes": 0}}, "scenes must be a whole number"),
         ({"ckpt": "collapse"}, "begins with random weights"),
-        ({"trainer": {"devices": 2}}, "one process on a CPU"),
+        ({"trainer": {"devices": 3}}, "one process on a CPU"),
     ):
         with pytest.raises(InputError, match=sentence):
             train(make_config(root, tmp_path, **change), tmp_path, None)

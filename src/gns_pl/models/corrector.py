@@ -162,10 +162,12 @@ class Corrector(nn.Module):
         static = static.in_precision(dtype)
         velocity = (predicted - position) / config.interval
         threshold = config.velocity_threshold * self.velocity_scale
-        flow = velocity if config.largest is None else velocity[:, :-1]
-        speed = (flow.square().sum(dim=1, keepdim=True) + TINY).sqrt()
-        if config.largest is not None:
-            direction, speed = flow / speed, (speed - STILL * threshold).clamp_min(0)
+        if config.largest is None:
+            speed = velocity.norm(dim=1, keepdim=True)
+        else:
+            across = velocity[:, :-1]
+            speed = (across.square().sum(dim=1, keepdim=True) + TINY).sqrt()
+            direction, speed = across / speed, (speed - STILL * threshold).clamp_min(0)
             if not bool((speed > 0).any()):
                 return 0 * predicted  # and a derivative of zero
         edge_index = radius_graph(predicted, radius, static.batch, num_graphs=static.num_graphs)

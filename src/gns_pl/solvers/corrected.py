@@ -121,9 +121,9 @@ class CorrectedSolver(TrainedSolver):
     def coarse_start(self, scene: Scene, seed: int) -> CoarseStart:
         """Return the start of a scene's run; arguments as those of `run`."""
         facts, corrector = {**self.facts(scene), "seed": seed}, self.content.corrector
+        reduction = self.reduced(scene)  # or it is refused
         if self.coarse is not None:
             return CoarseStart.retuned(corrector.config, scene, seed, facts)
-        reduction = self.reduced(scene)
         return replace(CoarseStart.of(corrector, self.start(reduction.scene, seed, facts)), reduction=reduction)
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
