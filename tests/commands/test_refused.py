@@ -59,7 +59,11 @@ MISSPELT = [
         "there is no such option, and no folder of a data set (did you mean cube106?)",
     ),
     ("train", ("+experiment=quikstart",), "experiment=quikstart: there is no such option (did you mean quickstart?)"),
-    ("train", ("model=papr",), "(did you mean paper?); options are corrector, geoelements, paper, small."),
+    (
+        "train",
+        ("model=papr",),
+        "(did you mean paper?); options are corrector, corrector_retuned, geoelements, paper, small.",
+    ),
     ("evaluate", ("ckpt=collapse", "evaluation.duraton=3"), "(did you mean evaluation.duration?)"),
     (
         "evaluate",

@@ -114,7 +114,7 @@ def test_the_name_that_was_typed_is_the_name_everywhere(tmp_path, monkeypatch) -
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     found = named_checkpoints([*map(str, paths[:3]), "mine.ckpt", str(paths[0]), "column-fast", "collapse"])
-    assert list(found) == ["a", "a_last", "a_last_3", "mine", "column-fast"]
+    assert list(found) == ["a", "a_last", "a_last_3", "mine", "column-fast", "collapse"]
 
 
 def test_where_the_data_lie_now_is_passed_on(tmp_path, monkeypatch) -> None:

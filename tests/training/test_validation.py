@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gns_pl.training.validation import MONITORED, NAMES, ValidationTable
+from gns_pl.training.validation import DEPOSIT_ERROR, MONITORED, NAMES, ValidationTable
 
 
 def make_errors(number: int) -> list[dict[str, float]]:
@@ -18,6 +18,7 @@ def make_errors(number: int) -> list[dict[str, float]]:
     errors[1]["runout_99_error"] = math.nan  # not defined for this scene
     for each in errors:
         each["profile_l1"] = math.nan  # for none
+        each.update({name: value**2 for name, value in each.items() if name.endswith("_square")})
     return errors
 
 
@@ -55,6 +56,8 @@ def test_means_do_not_depend_on_the_number_of_processes(ranks: int) -> None:
     assert gathered(errors, ranks) == [alone] * ranks
     assert "profile_l1" not in alone
     assert alone["mse_1"] == pytest.approx(np.mean([each["mse_1"] for each in errors]))
+    assert alone["front_rms"] == pytest.approx(np.sqrt(np.mean([each["front_square"] for each in errors])))
+    assert alone[DEPOSIT_ERROR] == max(alone["front_rms"], alone["map_rms"])
 
 
 def test_relative_runouts_are_those_of_all_runouts_together() -> None:
