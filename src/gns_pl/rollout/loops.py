@@ -83,7 +83,7 @@ def move_apart(
 
 @compile_function
 def slowing(
-    dt: float, rounding: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any,
+    dt: float, rounding: float, slow: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any,
     gravity: Any, lower: Any, upper: Any,
 ) -> Any:  # fmt: skip
     """Return of every scene by what `StableStepper` scales its velocities [B]; 1, or NaN: by nothing.
@@ -91,6 +91,7 @@ def slowing(
     Args:
         dt: time of the step [s].
         rounding: share by which the energy may rise.
+        slow: motion that may be there from nothing, per mass [m²/s²].
         earlier: positions before the step before [N, D] [m].
         before: before the step.
         position: behind it.
@@ -102,8 +103,8 @@ def slowing(
         upper: likewise.
     """
     # Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it; motion
-    # and height of the step before; motion of what a script moves.
-    sums = np.zeros((len(gravity), 5))
+    # and height of the step before; motion of what a script moves; motion of the step before; what that may be.
+    sums = np.zeros((len(gravity), 7))
     for i in range(len(position)):
         box = batch[i]
         quadratic, linear, height, kinetic, risen = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -122,10 +123,12 @@ def slowing(
         sums[box, 2] += volume[i] * height
         sums[box, 3] += volume[i] * (kinetic + risen)
         sums[box, 4] += 0.0 if moved[i] else volume[i] * 2 * kinetic
+        sums[box, 5] += volume[i] * kinetic
+        sums[box, 6] += volume[i] * slow
     factor = np.ones(len(gravity))
     for box in range(len(gravity)):
         quadratic, linear, height, past, pushed = sums[box, 0], sums[box, 1], sums[box, 2], sums[box, 3], sums[box, 4]
-        allowed = (past + height) * (1 + rounding) - height
+        allowed = (past + height) * (1 + rounding) - height + max(sums[box, 6] - sums[box, 5], 0.0)
         if not (pushed > 0 or quadratic + linear <= allowed):
             root = np.sqrt(max(linear * linear + 4 * quadratic * allowed, 0.0))
             share = (root - linear) / max(2 * quadratic, 1e-30)

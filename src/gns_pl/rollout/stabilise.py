@@ -31,6 +31,10 @@ SWEEPS = 4
 ROUNDING = 2e-6
 """Of a scene's energy: by so much it may rise in a step, which is what single precision does to free fall."""
 
+BEGINNING = 0.3
+"""Of the speed that sleeps: up to it, as root of the mean square, a scene's energy is not limited. What begins to move
+from rest would be held by an error as small as that in every step, and never begin; what creeps so is put to sleep."""
+
 
 def stabilise(
     stepper: Stepper,
@@ -63,7 +67,9 @@ def stabilise(
     found = FoundPairs(open_stepper.search) if open_stepper is not None and min_distance else None
     if open_stepper is not None and found is not None:
         stepper = replace(open_stepper, search=found)
-    return StableStepper(SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter, found)
+    return StableStepper(
+        SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter, BEGINNING * sleep, found
+    )
 
 
 class FoundPairs:
@@ -97,14 +103,21 @@ class StableStepper:
         stepper: makes the steps.
         min_distance: as of `stabilise`.
         energy_limiter: as of `stabilise`.
+        slow: speed of a scene, root of the mean square, up to which its energy is not limited [m/s].
         found: the pairs that the steps find.
     """
 
     def __init__(
-        self, stepper: Stepper, min_distance: float, energy_limiter: bool, found: FoundPairs | None = None
+        self,
+        stepper: Stepper,
+        min_distance: float,
+        energy_limiter: bool,
+        slow: float = 0.0,
+        found: FoundPairs | None = None,
     ) -> None:
         self._found = found
         self._stepper, self.min_distance, self.energy_limiter = stepper, min_distance, energy_limiter
+        self._slow = 0.5 * slow**2
         self.config, self.device, self.history_length = stepper.config, stepper.device, stepper.history_length
 
     def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
@@ -170,21 +183,21 @@ class StableStepper:
         frames = (history[:, -2], history[:, -1], position)
         if compiles(*frames, scenes.volume, scenes.gravity, scenes.lower):
             tensors = (*frames, scenes.volume, scenes.moved, scenes.batch, scenes.gravity, scenes.lower, scenes.upper)
-            scales = slowing(self.config.dt, ROUNDING, *(tensor.numpy() for tensor in tensors))
+            scales = slowing(self.config.dt, ROUNDING, self._slow, *(tensor.numpy() for tensor in tensors))
             return scenes.of_particles(torch.from_numpy(scales)[:, None]) if (scales < 1).any() else None
-        quadratic, linear, height, past, pushed = self._energies(frames, scenes).unbind(1)
-        there = past + height
-        allowed = there * (1 + ROUNDING) - height
+        quadratic, linear, height, past, pushed, motion, slow = self._energies(frames, scenes).unbind(1)
+        allowed = (past + height) * (1 + ROUNDING) - height + (slow - motion).clamp_min(0)
         root = (linear.square() + 4 * quadratic * allowed).clamp_min(0).sqrt()
         factor = ((root - linear) / (2 * quadratic).clamp_min(1e-30)).clamp(0, 1)
         factor = torch.where((pushed > 0) | (quadratic + linear <= allowed), 1.0, factor)
         return scenes.of_particles(factor[:, None])
 
     def _energies(self, frames: tuple[Tensor, Tensor, Tensor], scenes: SceneBatch) -> Tensor:
-        """Return of every scene, in double precision, what its energy is made of [B, 5].
+        """Return of every scene, in double precision, what its energy is made of [B, 7].
 
         Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it;
-        motion and height of the step before; motion of what a script moves.
+        motion and height of the step before; motion of what a script moves; motion of the step before; what that
+        may be without a cause.
 
         Args:
             frames: positions two steps ago, one step ago and now, each [N, D] [m].
@@ -202,6 +215,8 @@ class StableStepper:
             ((lowest - before) * gravity).sum(1),
             motion / 2 + (gravity * past).sum(1) * dt / 2,
             motion * ~scenes.moved,
+            motion / 2,
+            torch.full_like(motion, self._slow),
         ]
         weighed = (volume[:, None] * torch.stack(values, dim=1)).double()
         return weighed.new_zeros(scenes.num_graphs, len(values)).index_add_(0, scenes.batch, weighed)
