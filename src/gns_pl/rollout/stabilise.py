@@ -68,7 +68,7 @@ def stabilise(
     if open_stepper is not None and found is not None:
         stepper = replace(open_stepper, search=found)
     return StableStepper(
-        SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter, BEGINNING * sleep, found
+        SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter, found, BEGINNING * sleep
     )
 
 
@@ -103,8 +103,8 @@ class StableStepper:
         stepper: makes the steps.
         min_distance: as of `stabilise`.
         energy_limiter: as of `stabilise`.
-        slow: speed of a scene, root of the mean square, up to which its energy is not limited [m/s].
         found: the pairs that the steps find.
+        slow: speed of a scene, root of the mean square, up to which its energy is not limited [m/s].
     """
 
     def __init__(
@@ -112,8 +112,8 @@ class StableStepper:
         stepper: Stepper,
         min_distance: float,
         energy_limiter: bool,
-        slow: float = 0.0,
         found: FoundPairs | None = None,
+        slow: float = 0.0,
     ) -> None:
         self._found = found
         self._stepper, self.min_distance, self.energy_limiter = stepper, min_distance, energy_limiter
