@@ -160,8 +160,8 @@ def configured(name: str, *overrides: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("name", "place", "split", "seed", "size", "corner", "velocity"),
     [
-        ("cube106", 0, "train", 493461003, 0.26171690793640146, 0.3275829355343306, -1.1524623097770004),
-        ("cube106", 105, "train", 3430037196, 0.3801465422920359, 0.11356211902370089, -0.46227722652113035),
+        ("cube106_paper", 0, "train", 493461003, 0.26171690793640146, 0.3275829355343306, -1.1524623097770004),
+        ("cube106_paper", 105, "train", 3430037196, 0.3801465422920359, 0.11356211902370089, -0.46227722652113035),
         ("quickstart", 0, "train", 3536558523, 0.23744954256149903, 0.7625504574385009, 0.0),
         ("quickstart", 63, "train", 1452992514, 0.33904598074383807, 0.41691285866086397, 0.9472453944322285),
     ],
@@ -179,7 +179,7 @@ def test_what_was_drawn_once_is_drawn_for_ever(
 @pytest.mark.parametrize(
     ("name", "sha256"),
     [
-        ("cube106", "e407c9c7c5e738779b6e0aba8197efbf10f2ce80975e9017f922b434c05cc3e1"),
+        ("cube106_paper", "e407c9c7c5e738779b6e0aba8197efbf10f2ce80975e9017f922b434c05cc3e1"),
         ("quickstart", "f32003e0315ac328b2210ad6e0d12ee14a3ee7dc5400944fdc1abdca2a6b32af"),
     ],
 )
@@ -198,7 +198,8 @@ def columns(drawn: list[Planned]) -> list[Any]:
     ("name", "split", "cell", "spacings"),
     [
         ("quickstart", (56, 4, 4), 1 / 12, [1 / 24]),
-        ("cube106", (96, 6, 4), 1 / 12, [1 / 48]),
+        ("cube106", (96, 6, 4), 1 / 36, [1 / 24, 1 / 36]),
+        ("cube106_paper", (96, 6, 4), 1 / 12, [1 / 48]),
         ("cube106_fine", (96, 6, 4), 1 / 48, [1 / 48, 1 / 24]),
         ("columns", (60, 6, 6), 1 / 12, [1 / 48]),
         ("columns_fine", (60, 6, 6), 1 / 48, [1 / 48, 1 / 24]),
@@ -227,8 +228,8 @@ def test_configured_sets_can_be_drawn(name: str, split: tuple[int, ...], cell: f
 
 
 def test_the_fine_sets_are_of_the_same_scenes() -> None:
-    for name in ("cube106", "columns"):
-        coarse, fine = (draw_plan(DatasetSpec.from_dict(configured(which))) for which in (name, f"{name}_fine"))
+    for names in (("cube106_paper", "cube106_fine"), ("cube106_paper", "cube106"), ("columns", "columns_fine")):
+        coarse, fine = (draw_plan(DatasetSpec.from_dict(configured(which))) for which in names)
         assert [(p.scene, p.seed, p.split) for p in coarse] == [(p.scene, p.seed, p.split) for p in fine]
 
 
@@ -283,7 +284,7 @@ def test_which_lattice_to_use_is_chosen_on_the_command_line() -> None:
     assert chosen_every(configured("cube106_fine")) == 2
     assert chosen_every(configured("cube106_fine", "data.every=4")) == 4
     assert chosen_every(configured("cube106_fine", "data.store_every=[3,2]")) == 3
-    assert chosen_every(configured("cube106")) == 1
+    assert chosen_every(configured("cube106_paper")) == 1
     spec = DatasetSpec.from_dict(configured("cube106_fine", "data.every=4"))
     assert spec == DatasetSpec.from_dict(configured("cube106_fine"))
 

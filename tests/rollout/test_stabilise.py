@@ -148,3 +148,16 @@ def test_derivatives_go_past_shifts_and_through_the_factor_that_scales(column: S
         assert factor == 1.0 or 0.3 < factor < 0.7
         (gradient,) = torch.autograd.grad(made.sum(), told)
         torch.testing.assert_close(gradient, torch.full_like(gradient, factor))
+
+
+@pytest.mark.parametrize(("sleep", "speed", "begun"), [(0.1, 0.02, 0.02), (0.1, 0.05, 0.03), (0.0, 0.02, 0.0)])
+def test_what_is_at_rest_may_begin_to_move(column: Scene, sleep: float, speed: float, begun: float) -> None:
+    """All are pushed aside on a level, and nothing falls: up to 0.3 of the speed that sleeps that is no energy."""
+    simulator, start = make_simulator(), make_start(column)
+    static, history = static_of(start), history_of(Run(start, 1), simulator.config)
+    aside = torch.tensor([speed * simulator.config.dt, 0.0, 0.0])
+    pushed = CallStepper(simulator, lambda history, _: history[:, -1] + aside)
+    stable = stabilise(pushed, sleep=sleep, energy_limiter=True)
+    for scenes, places in ((static, history), (static.to("cpu"), history.double())):  # compiled, and torch's
+        moved = (stable(places, scenes) - places[:, -1]) / simulator.config.dt
+        torch.testing.assert_close(moved.mean(dim=0), torch.tensor([begun, 0.0, 0.0]).to(moved), atol=3e-3, rtol=0)  # what rounding is allowed

@@ -185,7 +185,7 @@ def test_names_are_what_folders_and_checkpoint_paths_can_take() -> None:
 @pytest.mark.parametrize(
     ("experiment", "sweep"),
     [
-        *product(["quickstart", "cube106", "cube106_fine"], ["data_size", "noise", "message_passing"]),
+        *product(["quickstart", "cube106", "cube106_paper", "cube106_fine"], ["data_size", "noise", "message_passing"]),
         *product(["corrected_plane"], ["data_size", "message_passing"]),  # it has no noise
     ],
 )
@@ -213,7 +213,7 @@ def is_value(read: object, typed: str) -> bool:
 def test_the_fine_experiment_sees_as_far_as_the_coarse_one() -> None:
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base=None):
-        coarse, fine = (compose("train", [f"+experiment={name}"]) for name in ("cube106", "cube106_fine"))
+        coarse, fine = (compose("train", [f"+experiment={name}"]) for name in ("cube106_paper", "cube106_fine"))
     spacing = [
         cfg.data.mpm.cell_size / cfg.data.mpm.points_per_direction * cfg.data.get("every", 1) for cfg in (coarse, fine)
     ]

@@ -19,7 +19,7 @@ TRANSFERS = {"pic": (0.0, 0.0), "flip": (0.0, 1.0), "apic": (1.0, 0.0), "affine_
 """Transfer → which part of the affine momentum points give to the grid, and which part of their own velocity they keep
 when they get the grid's change."""
 
-PRESETS = {"paper": "data/cube106", "fast": "choice/default"}
+PRESETS = {"paper": "data/cube106_paper", "fast": "choice/default"}
 """Name of a preset → file of the configuration whose "mpm" it is."""
 
 SHAPES = ("quadratic", "linear")
@@ -78,7 +78,7 @@ class MPMConfig:
         """Return the settings by which the paper's data were made, or the fastest for their error.
 
         Args:
-            name: "paper" (conf/data/cube106.yaml), or "fast" (conf/choice/default.yaml).
+            name: "paper" (conf/data/cube106_paper.yaml), or "fast" (conf/choice/default.yaml).
             cell_size: wanted edge of a grid cell [m].
             changes: of the other attributes.
 

@@ -29,6 +29,9 @@ from gns_pl.trajectory import Trajectory
 ROLLOUT_WARMUP = 0.05
 """Share of the steps of whole runs in which the learning rate rises."""
 
+ROLLOUT_VALIDATIONS = 10
+"""The steps of whole runs are few and each changes much: so many validations in them at least."""
+
 
 def static_of_batch(batch: Data) -> SceneBatch:
     """Return the time-independent tensors of a PyG batch of windows."""
@@ -115,6 +118,17 @@ class SimulatorModule(LearningModule):
         super().on_train_batch_start(batch, batch_index)
         if self.global_step == self.first_rollout:
             forget(self.trainer.optimizers[0])
+        self._validate_often()
+
+    def on_train_start(self) -> None:
+        """Go on as often as a run was validated before it was resumed."""
+        super().on_train_start()
+        self._validate_often()
+
+    def _validate_often(self) -> None:
+        if self.skips_non_finite:
+            often = max(1, self.rollout["num_steps"] // ROLLOUT_VALIDATIONS)
+            self.trainer.val_check_batch = min(self.trainer.val_check_batch, often)
 
     def window_loss(self, batch: Data) -> Tensor:
         """Return the loss of a batch of windows [].
