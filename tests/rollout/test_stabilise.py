@@ -160,4 +160,5 @@ def test_what_is_at_rest_may_begin_to_move(column: Scene, sleep: float, speed: f
     stable = stabilise(pushed, sleep=sleep, energy_limiter=True)
     for scenes, places in ((static, history), (static.to("cpu"), history.double())):  # compiled, and torch's
         moved = (stable(places, scenes) - places[:, -1]) / simulator.config.dt
-        torch.testing.assert_close(moved.mean(dim=0), torch.tensor([begun, 0.0, 0.0]).to(moved), atol=3e-3, rtol=0)  # what rounding is allowed
+        wanted = torch.tensor([begun, 0.0, 0.0]).to(moved)
+        torch.testing.assert_close(moved.mean(dim=0), wanted, atol=3e-3, rtol=0)  # what rounding is allowed
