@@ -279,10 +279,20 @@ def test_rollouts_go_on_from_true_frames(checkpoint, tmp_path) -> None:
     placed = gns_pl.rollout.rollout(judged, start, kept.num_frames - 4, given=4)
     assert scene["placements"]["runout_99"] == pytest.approx([summarise(placed)["runout_99"]] * 2)
     assert "go on from 4 frames of MPM" in (out / "table.md").read_text()
-    with pytest.raises(InputError, match="start must be one of scene, frames, not 'middle'"):
-        run(checkpoint, tmp_path, start="middle")
+    for wrong in ("middle", ["scene", "middle"], []):
+        with pytest.raises(InputError, match="start must be one of scene, frames, or a list of them, not "):
+            run(checkpoint, tmp_path, start=wrong)
     with pytest.raises(InputError, match=r"has 3 frames, too few to go on from 4"):
         run(checkpoint, tmp_path, only="tall", start="frames", duration=0.18)
+
+
+def test_both_starts_stand_on_one_page(checkpoint, tmp_path) -> None:
+    settings = SETTINGS | {"out": tmp_path / "out", "cache": tmp_path / "cache", "only": "tall"}
+    found = evaluate_all({"run": checkpoint}, **settings | {"start": ["scene", "frames"]})
+    given = {name: document["scenes"]["tall"]["given_frames"] for name, document in found.items()}
+    assert given == {"run_from_scene": 1, "run_from_frames": 4}
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert all(name in page and (tmp_path / "out" / name / "metrics.json").is_file() for name in found)
 
 
 def test_a_rollout_that_fails_is_reported_and_the_rest_goes_on(checkpoint, tmp_path, monkeypatch, capsys) -> None:

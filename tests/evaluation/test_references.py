@@ -10,7 +10,7 @@ import pytest
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation import references
-from gns_pl.evaluation.evaluate import with_data
+from gns_pl.evaluation.checks import with_data
 from gns_pl.evaluation.references import reference_of, resolution_spread, stored_references
 from gns_pl.generation import generate_dataset
 from gns_pl.metrics.summary import Measured

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gns_pl.errors import InputError
 from gns_pl.models.shipped import existing_checkpoint, find_corrector, is_corrector
 from gns_pl.text import override
+
+if TYPE_CHECKING:
+    from gns_pl.models.checkpoint import Checkpoint
 
 
 def named_checkpoints(wanted: Sequence[str]) -> dict[str, Path]:
@@ -75,3 +80,44 @@ def make_folder(out: Path) -> None:
         raise InputError(f"{out}: cannot be created ({error.strerror}); choose another folder with out=…") from error
     if not os.access(out, os.W_OK):
         raise InputError(f"{out}: cannot be written; choose another folder with out=…")
+
+
+def with_data(checkpoint: Checkpoint, root: str) -> Checkpoint:
+    """Return the checkpoint with the folder in which its data lie now; data of another training are told.
+
+    Raises:
+        InputError: no data there.
+    """
+    from gns_pl.evaluation.references import stored_folder
+    from gns_pl.io import manifest_sha256
+
+    checkpoint = replace(checkpoint, data={**checkpoint.data, "root": root})
+    folder, trained = stored_folder(checkpoint.data), checkpoint.provenance.get("manifest_sha256")
+    if trained is not None and manifest_sha256(folder) != trained:
+        print(f"{folder}: not the data that this checkpoint was trained on (their manifests differ).")
+    return checkpoint
+
+
+def imported_split(checkpoint: Checkpoint, path: Path, *, wants_scenes: bool) -> str:
+    """Return the split that speaks for imported data, which no solver of ours made: "test", or "valid" without tests.
+
+    Args:
+        checkpoint: what is evaluated.
+        path: of it, for messages.
+        wants_scenes: scenes were named.
+
+    Raises:
+        InputError: scenes, or data that are not there.
+    """
+    from gns_pl.evaluation.references import stored_folder
+    from gns_pl.io import read_manifest
+
+    if wants_scenes or "root" not in checkpoint.data:
+        raise InputError(
+            f"{path}: its data do not say by which MPM they were made, so nothing can be computed to compare with; "
+            "name trajectories of its data: data.root=FOLDER evaluation.split=test"
+        )
+    splits = read_manifest(stored_folder(checkpoint.data)).splits
+    split = "test" if splits["test"] else "valid"
+    print(f"Its data are imported, so it is judged on their {split} trajectories (evaluation.split={split}).")
+    return split

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError, tolerated
-from gns_pl.evaluation.checks import check_figures, check_space, default_folder, make_folder, named_checkpoints
+from gns_pl.evaluation.checks import (
+    check_figures,
+    check_space,
+    default_folder,
+    imported_split,
+    make_folder,
+    named_checkpoints,
+    with_data,
+)
 from gns_pl.evaluation.judge import SceneResult, judge_scene
 from gns_pl.evaluation.scenes import build_scenes, chosen
 from gns_pl.metrics.curves import cut, write_curves
@@ -18,7 +25,6 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from gns_pl.evaluation.references import Reference
-    from gns_pl.models.checkpoint import Checkpoint
 
 
 def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, Any]]:
@@ -66,7 +72,12 @@ def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, 
 
 
 def evaluate_all(
-    checkpoints: Mapping[str, Path], *, out: Path, logger: Mapping[str, Any] | None, **settings: Any
+    checkpoints: Mapping[str, Path],
+    *,
+    out: Path,
+    logger: Mapping[str, Any] | None,
+    start: str | Sequence[str],
+    **settings: Any,
 ) -> dict[str, dict[str, Any]]:
     """Judge checkpoints and write one page about all of them.
 
@@ -74,6 +85,7 @@ def evaluate_all(
         checkpoints: name → path.
         out: folder; what one checkpoint gives goes into it, what several give into folders of their names.
         logger: {offline, project} of W&B; None logs nothing.
+        start: as of `evaluate`, or several: each checkpoint is judged from each.
         settings: as of `evaluate`.
 
     Returns:
@@ -83,21 +95,30 @@ def evaluate_all(
         InputError: as `evaluate`.
     """
     from gns_pl.evaluation import page, tracking
+    from gns_pl.evaluation.references import STARTS
 
-    folders = {name: out / name if len(checkpoints) > 1 else out for name in checkpoints}
+    starts = list(dict.fromkeys([start] if isinstance(start, str) else start))
+    if not starts or not set(starts) <= set(STARTS):
+        raise InputError(f"evaluation.start must be one of {', '.join(STARTS)}, or a list of them, not {start!r}.")
+    judged = {
+        f"{name}_from_{each}" if len(starts) > 1 else name: (path, each)
+        for name, path in checkpoints.items()
+        for each in starts
+    }
+    folders = {name: out / name if len(judged) > 1 else out for name in judged}
     documents: dict[str, dict[str, Any]] = {}
     files: dict[str, list[Path]] = {}
-    for name, path in checkpoints.items():
-        if len(checkpoints) > 1:
+    for name, (path, each) in judged.items():
+        if len(judged) > 1:
             print(f"\n{name}: {path}")
-        documents[name], files[name] = evaluate(path, name=name, out=folders[name], **settings)
+        documents[name], files[name] = evaluate(path, name=name, out=folders[name], start=each, **settings)
     path = page.write_page(out / "report.html", documents, folders)
     print("Made:", *(file for paths in files.values() for file in paths), path, sep="\n  ")
     for name, document in documents.items():
         if logger is not None:
             for folder in tracking.log_evaluation(document, [*files[name], path], out=folders[name], **logger):
                 print(f"  {folder}")
-        logs = sorted(checkpoints[name].parent.glob("csv/*/metrics.csv"))
+        logs = sorted(judged[name][0].parent.glob("csv/*/metrics.csv"))
         if logs:
             print("The training's own log:", *logs, sep="\n  ")
     return documents
@@ -165,7 +186,7 @@ def evaluate(
         InputError: a checkpoint, a scene or a folder that cannot be used.
     """
     from gns_pl.evaluation import report
-    from gns_pl.evaluation.references import STARTS, reference_of, stored_references
+    from gns_pl.evaluation.references import reference_of, stored_references
     from gns_pl.models.checkpoint import load_checkpoint, move
     from gns_pl.models.geoelements import cold_start
     from gns_pl.rollout.policy import Policy
@@ -174,8 +195,6 @@ def evaluate(
 
     if film not in (None, "mp4", "gif"):
         raise InputError(f"evaluation.film must be mp4, gif or null, not {film!r}.")
-    if start not in STARTS:
-        raise InputError(f"evaluation.start must be one of {', '.join(STARTS)}, not {start!r}.")
     if placements < 0:
         raise InputError(f"evaluation.placements must be 0 or more, not {placements}.")
     checkpoint = load_checkpoint(checkpoint_path)
@@ -250,47 +269,6 @@ def evaluate(
             files += draw_in_space(results, out, film=film, **animation)
     report.show(document)
     return document, files
-
-
-def with_data(checkpoint: Checkpoint, root: str) -> Checkpoint:
-    """Return the checkpoint with the folder in which its data lie now; data of another training are told.
-
-    Raises:
-        InputError: no data there.
-    """
-    from gns_pl.evaluation.references import stored_folder
-    from gns_pl.io import manifest_sha256
-
-    checkpoint = replace(checkpoint, data={**checkpoint.data, "root": root})
-    folder, trained = stored_folder(checkpoint.data), checkpoint.provenance.get("manifest_sha256")
-    if trained is not None and manifest_sha256(folder) != trained:
-        print(f"{folder}: not the data that this checkpoint was trained on (their manifests differ).")
-    return checkpoint
-
-
-def imported_split(checkpoint: Checkpoint, path: Path, *, wants_scenes: bool) -> str:
-    """Return the split that speaks for imported data, which no solver of ours made: "test", or "valid" without tests.
-
-    Args:
-        checkpoint: what is evaluated.
-        path: of it, for messages.
-        wants_scenes: scenes were named.
-
-    Raises:
-        InputError: scenes, or data that are not there.
-    """
-    from gns_pl.evaluation.references import stored_folder
-    from gns_pl.io import read_manifest
-
-    if wants_scenes or "root" not in checkpoint.data:
-        raise InputError(
-            f"{path}: its data do not say by which MPM they were made, so nothing can be computed to compare with; "
-            "name trajectories of its data: data.root=FOLDER evaluation.split=test"
-        )
-    splits = read_manifest(stored_folder(checkpoint.data)).splits
-    split = "test" if splits["test"] else "valid"
-    print(f"Its data are imported, so it is judged on their {split} trajectories (evaluation.split={split}).")
-    return split
 
 
 def _write_trajectories(name: str, result: SceneResult, out: Path) -> list[Path]:
