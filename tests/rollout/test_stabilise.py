@@ -150,9 +150,9 @@ def test_derivatives_go_past_shifts_and_through_the_factor_that_scales(column: S
         torch.testing.assert_close(gradient, torch.full_like(gradient, factor))
 
 
-@pytest.mark.parametrize(("sleep", "speed", "begun"), [(0.1, 0.02, 0.02), (0.1, 0.05, 0.03), (0.0, 0.02, 0.0)])
+@pytest.mark.parametrize(("sleep", "speed", "begun"), [(0.1, 0.08, 0.08), (0.1, 0.2, 0.1), (0.0, 0.08, 0.0)])
 def test_what_is_at_rest_may_begin_to_move(column: Scene, sleep: float, speed: float, begun: float) -> None:
-    """All are pushed aside on a level, and nothing falls: up to 0.3 of the speed that sleeps that is no energy."""
+    """All are pushed aside on a level, and nothing falls: up to the speed that sleeps that is no energy."""
     simulator, start = make_simulator(), make_start(column)
     static, history = static_of(start), history_of(Run(start, 1), simulator.config)
     aside = torch.tensor([speed * simulator.config.dt, 0.0, 0.0])

@@ -31,10 +31,6 @@ SWEEPS = 4
 ROUNDING = 2e-6
 """Of a scene's energy: by so much it may rise in a step, which is what single precision does to free fall."""
 
-BEGINNING = 0.3
-"""Of the speed that sleeps: up to it, as root of the mean square, a scene's energy is not limited. What begins to move
-from rest would be held by an error as small as that in every step, and never begin; what creeps so is put to sleep."""
-
 
 def stabilise(
     stepper: Stepper,
@@ -52,7 +48,8 @@ def stabilise(
         sleep: particles slower than this for some steps, their neighbours too, stay where they are (`rest`) [m/s].
         min_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
         energy_limiter: a step that raises the energy of motion and height has its velocities scaled down, all of a
-            scene's by one factor, until it does not.
+            scene's by one factor, until it does not. Motion slower than `sleep`, as root of the mean square, is free:
+            what begins from rest would be held by an error as small as that in every step, and never begin.
 
     Raises:
         InputError: a negative limit, or distances that no filling keeps.
@@ -68,7 +65,7 @@ def stabilise(
     if open_stepper is not None and found is not None:
         stepper = replace(open_stepper, search=found)
     return StableStepper(
-        SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter, found, BEGINNING * sleep
+        SleepingStepper(stepper, sleep) if sleep else stepper, min_distance, energy_limiter, found, sleep
     )
 
 
