@@ -48,12 +48,13 @@ MODELS = (
     "column-fast",
     "general-fast",
     "column-fast-plane",
-    "friction_plane",
+    "friction-fast-plane",
     "corrected_plane",
     "collapse",
     "collapse_plane",
+    "friction_plane",
 )
-BASES = ("collapse", "collapse_plane")
+BASES = ("collapse", "collapse_plane", "friction_plane")
 """What others are trained on from; not in the README."""
 
 TAGS = ["granular-flow", "physics-simulation", "graph-neural-network", "material-point-method", "pytorch"]

@@ -36,6 +36,7 @@ def run(folder: Path, name: str, scene: Scene, *more: str, key: str = "ckpt") ->
         "collapse_plane",
         "friction_plane",
         "column-fast-plane",
+        "friction-fast-plane",
         *corrector_names(),
         "collapse_plane_then_mpm",
     ],
@@ -55,6 +56,7 @@ def test_every_name_is_tried_here_or_is_of_three_dimensions() -> None:
     assert set(pretrained_names()) - space == {
         "collapse_plane",
         "column-fast-plane",
+        "friction-fast-plane",
         "friction_plane",
     }
     assert corrector_names() == ["corrected", "corrected_plane"]
