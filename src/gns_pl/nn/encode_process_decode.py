@@ -14,6 +14,7 @@ from gns_pl.nn.blocks import process_in_blocks
 from gns_pl.nn.interaction_network import InteractionNetwork
 from gns_pl.nn.mlp import mlp
 from gns_pl.nn.packed import PackedNetwork, can_pack
+from gns_pl.nn.packed_gradient import differentiable_pass
 from gns_pl.nn.sorted_edges import SortedEdges
 from gns_pl.nn.stack import LayerStack
 
@@ -86,6 +87,10 @@ class EncodeProcessDecode(LayerStack):
         able = self.compiled_edges and node.device.type == "cpu" and node.dtype == torch.float32
         able = able and not (plain or torch.is_autocast_enabled("cpu"))
         sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
+        if sorted_edges is not None and self.exchange is None and torch.is_grad_enabled():
+            packed = self._packed()
+            if packed is not None:
+                return differentiable_pass(self, packed, node, edge, sorted_edges)
         if sorted_edges is not None and not torch.is_grad_enabled():
             packed = self._packed()
             if packed is not None:

@@ -1,4 +1,4 @@
-"""A network of small width on a CPU without gradients: its weights packed once, its pass in a few compiled loops.
+"""A network of small width on a CPU: its weights packed once, its pass in a few compiled loops.
 
 With states of 32 numbers and a thousand particles, what stands between the products, and the hundreds of calls that
 make them, take longer than the products do. Here a tile of edges, and then of nodes, goes through a whole layer in the
@@ -8,7 +8,7 @@ first cache and in registers (`nn.passes`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -52,6 +52,26 @@ def _is_plain(part: nn.Sequential, end: type[nn.Module]) -> bool:
     linears = kinds[:-1] if end is nn.LayerNorm else kinds
     plain = len(linears) > 2 and linears == [nn.Linear, nn.ReLU] * (len(linears) // 2) + [nn.Linear]
     return plain and kinds[-1] is end and all(layer.bias is not None for layer in part if isinstance(layer, nn.Linear))
+
+
+class States(NamedTuple):
+    """Arrays that a pass fills in, in lists over layers.
+
+    Attributes:
+        memory: in which they lie [rows, W].
+        node: node states that a layer is given, and those behind the last [N + ROWS, W].
+        sending: what a layer's messages need of their sender, alike.
+        receiving: and of their receiver.
+        received: sums of messages.
+        edge: edge states that a layer is given [E + ROWS, W]; the first makes them itself.
+    """
+
+    memory: Array
+    node: list[Array]
+    sending: list[Array]
+    receiving: list[Array]
+    received: list[Array]
+    edge: list[Array]
 
 
 class PackedNetwork:
@@ -115,49 +135,85 @@ class PackedNetwork:
             edges: sorted by receiver.
             exchange: as of `Network`.
         """
-        number, layers, width = len(node), len(self.messages), self.padded
+        states = self.states(len(node), len(edge), keep=False)
+        output = self.passed(node, edge, edges, states, exchange)
+        if states.memory.nbytes <= SPARE_BYTES:
+            self._spare.append(states.memory)
+        return output
+
+    def states(self, nodes: int, edges: int, *, keep: bool) -> States:
+        """Return the arrays of a pass.
+
+        Args:
+            nodes: N.
+            edges: E.
+            keep: every layer has arrays of its own; else all have the same, whose memory may be used again.
+        """
+        layers, width = len(self.messages), self.padded
+        sets = layers if keep else 1
+        edge_sets = min(max(layers - 1, 0), 1 if self.static_edges else sets)
+        node_rows, edge_rows = (3 * sets + sets + keep) * (nodes + ROWS), edge_sets * (edges + ROWS)
+        memory = np.empty((node_rows + edge_rows, width), np.float32) if keep else self._memory(node_rows + edge_rows)
+        of_nodes = memory[:node_rows].reshape(-1, nodes + ROWS, width)
+        of_edges = memory[node_rows : node_rows + edge_rows].reshape(-1, edges + ROWS, width)
+        sending, receiving, received, node = (
+            _of_layers(of_nodes[first * sets :][: sets + keep * (first == 3)], layers + 1) for first in range(4)
+        )
+        edge = [memory[:0], *_of_layers(of_edges, layers)] if edge_sets else [memory[:0]] * (layers + 1)
+        return States(memory, node, sending, receiving, received, edge)
+
+    def passed(
+        self,
+        node: Tensor,
+        edge: Tensor,
+        edges: SortedEdges,
+        states: States,
+        exchange: Callable[[Tensor], None] | None = None,
+    ) -> Tensor:
+        """Return the decoded nodes as `__call__` does, and fill in the states."""
+        number, layers = len(node), len(self.messages)
         features, edge_features = (given.detach().contiguous().numpy() for given in (node, edge))
-        keeps_state = layers > 1
-        rows = 4 * (number + ROWS) + (len(edge) + ROWS) * keeps_state
-        memory = self._memory(rows)
-        states, sending, receiving, received = memory[: 4 * (number + ROWS)].reshape(4, number + ROWS, width)
-        state = memory[4 * (number + ROWS) : rows]
         output = node.new_empty(number, self.outputs)
         decoded = output.numpy()
 
         def hand(layer: int, low: int, high: int) -> None:
             if layer == layers:
-                decode(self.decoder, states, decoded, low, high)
+                decode(self.decoder, states.node[layer], decoded, low, high)
             else:
-                biases = self.messages[layer].biases
-                hand_on(self.ends[layer], biases, states, sending, receiving, low, high)
-                received[low:high] = 0
+                biases, ends = self.messages[layer].biases, (states.sending[layer], states.receiving[layer])
+                hand_on(self.ends[layer], biases, states.node[layer], *ends, low, high)
+                states.received[layer][low:high] = 0
 
         def encode(low: int, high: int) -> None:
-            encode_nodes(self.node_encoder, features, states, low, high)
+            encode_nodes(self.node_encoder, features, states.node[0], low, high)
             hand(0, low, high)
 
         def update(layer: int, hands: bool, low: int, high: int) -> None:
-            update_nodes(self.updates[layer], states, received, low, high)
+            before, received, after = states.node[layer], states.received[layer], states.node[layer + 1]
+            update_nodes(self.updates[layer], before, received, after, low, high)
             if hands:
                 hand(layer + 1, low, high)
 
         edges.share_alike(encode)
         for layer, message in enumerate(self.messages):
             last, encodes = layer + 1 == layers, layer == 0
-            keeps = keeps_state and (encodes or not (last or self.static_edges))
+            keeps = not last and (encodes or not self.static_edges)
+            arrays = (edge_features, states.edge[layer], states.edge[layer + 1], edges.sender.numpy(), edges.start.numpy())
+            ends = (states.sending[layer], states.receiving[layer], states.received[layer])
             settings = (encodes, keeps, not self.static_edges)
-            arrays = (edge_features, state, edges.sender.numpy(), edges.start.numpy(), sending, receiving, received)
-            edges.share_alike(pass_messages, self.edge_encoder, message, *arrays, *settings)
+            edges.share_alike(pass_messages, self.edge_encoder, message, *arrays, *ends, *settings)
             edges.share_alike(update, layer, exchange is None or last)
             if exchange is not None and not last:
-                exchange(torch.from_numpy(states)[:number, : self.width])
+                exchange(torch.from_numpy(states.node[layer + 1])[:number, : self.width])
                 edges.share_alike(hand, layer + 1)
-        if memory.nbytes <= SPARE_BYTES:
-            self._spare.append(memory)
         return output
 
     def _memory(self, rows: int) -> Array:
         """Return rows of states, those of an earlier pass if these are enough: new memory costs time to touch."""
         memory = self._spare.pop() if self._spare else np.zeros((0, self.padded), np.float32)
         return memory if len(memory) >= rows else np.zeros((int(ROOM * rows), self.padded), np.float32)
+
+
+def _of_layers(arrays: Array, layers: int) -> list[Array]:
+    """Return an array for each of so many layers; the last one serves all that are left."""
+    return [arrays[min(layer, len(arrays) - 1)] for layer in range(layers)] if len(arrays) else []

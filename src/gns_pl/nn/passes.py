@@ -134,7 +134,7 @@ def hand_on(ends: Array, biases: Array, node: Array, sending: Array, receiving: 
 
 @compiled
 def pass_messages(
-    encoder: Weights, mlp: Weights, feature: Array, state: Array, sender: Any, start: Any,
+    encoder: Weights, mlp: Weights, feature: Array, state: Array, kept: Array, sender: Any, start: Any,
     sending: Array, receiving: Array, received: Array, encodes: bool, keeps: bool, updates: bool,
     low: int, high: int,
 ) -> None:  # fmt: skip
@@ -145,13 +145,14 @@ def pass_messages(
         mlp: of messages.
         feature: edge features [E, F'].
         state: edge states [E + ROWS, W].
+        kept: those for the next layer; the same array, or one of its own.
         sender: [E].
         start: first edge of every receiver [N + 1].
         sending: what messages need of their sender [N + ROWS, W].
         receiving: and of their receiver.
         received: the sums.
         encodes: edge states are made of the features; else they are in `state`.
-        keeps: edge states are written to `state`.
+        keeps: edge states are written to `kept`.
         updates: they are so with the message added.
         low: first receiver.
         high: the one behind the last.
@@ -191,12 +192,12 @@ def pass_messages(
                 store(received, i + c, load(received, i + c) + message)
                 if keeps:
                     edge = load(own, r * STRIDE + c)
-                    store(state, (begin + r) * width + c, edge + message if updates else edge)
+                    store(kept, (begin + r) * width + c, edge + message if updates else edge)
 
 
 @compiled
-def update_nodes(mlp: Weights, node: Array, received: Array, low: int, high: int) -> None:
-    """Update node states by what they received."""
+def update_nodes(mlp: Weights, node: Array, received: Array, updated: Array, low: int, high: int) -> None:
+    """Update node states by what they received, in place or into an array of their own."""
     width = mlp.first.shape[1]
     hidden, other, rows = _tile(), _tile(), _tile()
     for begin in range(low, high, ROWS):
@@ -211,7 +212,7 @@ def update_nodes(mlp: Weights, node: Array, received: Array, low: int, high: int
             scale = _scale(mlp, hidden, r)
             for c in range(0, width, LANES):
                 place = (begin + r) * width + c
-                store(node, place, load(node, place) + _normal(mlp, hidden, r, c, scale))
+                store(updated, place, load(node, place) + _normal(mlp, hidden, r, c, scale))
 
 
 @compiled
