@@ -25,7 +25,7 @@ LOOPS = ("graph.features", "models.simulator", "rollout.rest", "rollout.stabilis
 def without_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let torch's operations make everything."""
     for module in LOOPS:
-        monkeypatch.setattr(f"gns_pl.{module}.compiles", lambda *tensors: False)
+        monkeypatch.setattr(f"gns_pl.{module}.compiles", lambda *tensors, backward=False: False)
     monkeypatch.setattr("gns_pl.nn.encode_process_decode.can_pack", lambda network: False)
 
 
