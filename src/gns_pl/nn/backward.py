@@ -7,7 +7,7 @@ first cache. Rows of a tile that stand for no edge or node are zero, so that sum
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,22 +25,10 @@ from gns_pl.nn.lanes import (
     total,
     where_positive,
 )
-from gns_pl.nn.passes import Array, Weights, _copy, _fill, _normal, _product, _scale, _tile
+from gns_pl.nn.passes import Array, Turned, Weights, _copy, _fill, _normal, _product, _scale, _tile
 
 SETTLED = 64
 """Tiles of edges after which sums go to those of all edges: float32 sums of many thousand numbers lose digits."""
-
-
-class Turned(NamedTuple):
-    """A multilayer perceptron's weights for the way back: every matrix of `Weights` transposed.
-
-    Attributes:
-        first: [parts, W, W]; of features [1, W, F'], F' a multiple of `LANES`.
-        deeper: [D, W, W].
-    """
-
-    first: Array
-    deeper: Array
 
 
 @compiled
@@ -99,22 +87,20 @@ def _add_products(into: Array, begin: int, tile: Array, depth: int, above: Array
 
 @compiled
 def _through_norm(mlp: Weights, sums: Weights, value: Array, above: Array, given: Array) -> None:
-    """Make of the gradient `above`, by a norm's output, that by its input, which is `value` and is normalised here.
-
-    The weights before a norm are such that its input has no mean, so what a mean would get is left out.
-    """
+    """Make of the gradient `above`, by a norm's output, that by its input, which is `value` and is normalised here."""
     width = mlp.norm.shape[1]
     for r in range(ROWS):
-        scale, along = _scale(mlp, value, r), repeat(np.float32(0))
+        scale, along, mean = _scale(mlp, value, r), repeat(np.float32(0)), repeat(np.float32(0))
         for c in range(0, width, LANES):
             place = r * STRIDE + c
-            normal = load(value, place) * scale
+            normal, part = load(value, place) * scale, load(above, place) * load(mlp.norm, c)
             store(value, place, normal)
-            along = along + load(above, place) * load(mlp.norm, c) * normal
-        along = repeat(-total(along) * mlp.share[0])
+            along, mean = along + part * normal, mean + part
+        along, mean = repeat(-total(along) * mlp.share[0]), repeat(-total(mean) * mlp.share[0])
         for c in range(0, width, LANES):
             place = r * STRIDE + c
-            store(given, place, scale * (load(above, place) * load(mlp.norm, c) + load(value, place) * along))
+            part = load(above, place) * load(mlp.norm, c) + mean
+            store(given, place, scale * (part + load(value, place) * along))
     _add_sums(sums.norm, 1, above)
     for c in range(0, width, LANES):
         weight = load(sums.norm, c)
@@ -191,7 +177,7 @@ def messages_backward(
         low: first receiver.
         high: the one behind the last.
     """
-    inputs, width = encoder.first.shape
+    inputs, width = feature.shape[1], encoder.first.shape[1]
     tiles, encoded = _tiles(mlp.deeper.shape[0] + 1), _tiles(encoder.deeper.shape[0] + 1)
     own, above, other, rows = _tile(), _tile(), _tile(), _tile()
     ends = np.empty(ROWS, np.int64)
@@ -359,7 +345,7 @@ def encode_backward(
     mlp: Weights, turned: Turned, sums: Weights, feature: Array, to_node: Array, to_feature: Array, low: int, high: int
 ) -> None:
     """Go back through the encoder of nodes to their features [N, F]."""
-    inputs, width = mlp.first.shape
+    inputs, width = feature.shape[1], mlp.first.shape[1]
     depth, padded = mlp.deeper.shape[0], turned.first.shape[2]
     tiles, rows, above, other = _tiles(depth + 1), _tile(), _tile(), _tile()
     for begin in range(low, high, ROWS):

@@ -131,17 +131,13 @@ class EncodeProcessDecode(LayerStack):
         """Return the forward pass in compiled loops, for the weights as they are; None where there is none."""
         key = self._state_key(str(self.static_edges))
         if key != self._packed_key:
-            self._packed_key, self._packed_network = key, PackedNetwork(self) if can_pack(self) else None
+            self._packed_key = key
+            self._packed_network = PackedNetwork(self, self._packed_network) if can_pack(self) else None
         return self._packed_network
 
     def _state_key(self, setting: str) -> tuple[object, ...]:
         """Return what changes when the weights do, or are another network's."""
-        modules: list[nn.Module] = [self]
-        found: list[nn.Parameter | None] = []
-        for module in modules:  # grows; `parameters()` makes names besides, and takes ten times as long
-            modules.extend(filter(None, module._modules.values()))
-            found.extend(module._parameters.values())
-        weights = [weight for weight in found if weight is not None]
+        weights = self.weights()
         places = [weight.data_ptr() for weight in weights]
         return id(self), setting, *places, *[0 if weight.is_inference() else weight._version for weight in weights]
 

@@ -17,7 +17,7 @@ class Weights(NamedTuple):
     """A multilayer perceptron's weights; W is the states' width L padded to a multiple of `LANES`, with zeros.
 
     Attributes:
-        first: of the first layer [F, W].
+        first: of the first layer [F, W], F padded to a multiple of `BAND`.
         deeper: of those behind it [D, W, W].
         biases: of all [1 + D, W].
         norm: weight and bias [2, W]; the mean that it subtracts is taken off the layer before it.
@@ -29,6 +29,18 @@ class Weights(NamedTuple):
     biases: Array
     norm: Array
     share: Array
+
+
+class Turned(NamedTuple):
+    """A multilayer perceptron's weights for the way back: its matrices transposed.
+
+    Attributes:
+        first: of every part of the input [parts, W, W]; of features [1, W, F'], F' a multiple of `LANES`.
+        deeper: [D, W, W].
+    """
+
+    first: Array
+    deeper: Array
 
 
 @compiled
@@ -96,7 +108,7 @@ def _normal(mlp: Weights, tile: Array, r: int, c: int, scale: Any) -> Any:
 @compiled
 def encode_nodes(mlp: Weights, feature: Array, node: Array, low: int, high: int) -> None:
     """Encode node features [N, F] into states [N + ROWS, W]."""
-    inputs, width = mlp.first.shape
+    inputs, width = feature.shape[1], mlp.first.shape[1]
     hidden, other, rows = _tile(), _tile(), _tile()
     for begin in range(low, high, ROWS):
         count = min(ROWS, high - begin)
@@ -157,7 +169,7 @@ def pass_messages(
         low: first receiver.
         high: the one behind the last.
     """
-    inputs, width = encoder.first.shape
+    inputs, width = feature.shape[1], encoder.first.shape[1]
     hidden, other, own, rows = _tile(), _tile(), _tile(), _tile()
     ends = np.empty(ROWS, np.int64)
     receiver, last = low, start[high]
