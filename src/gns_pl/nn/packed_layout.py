@@ -75,6 +75,8 @@ class Layout:
         self.layers = len(network.layers)
         self.shapes = [weight.shape for weight in network.weights()]
         self._numbers: dict[int, NDArray[np.int64]] = {}
+        self._before_norms: list[int] = []
+        self._order = {id(weight): k for k, weight in enumerate(network.weights())}
         first = 1
         for weight in network.weights():
             self._numbers[id(weight)] = np.arange(first, first + weight.numel()).reshape(weight.shape)
@@ -99,7 +101,7 @@ class Layout:
         turned += [end.transpose(0, 2, 1) for end in whole.ends]
         self._turned_shapes = [array.shape for array in turned]
         self._turned_source = np.concatenate([array.ravel() for array in turned])
-        del self._numbers
+        del self._numbers, self._order
 
     def fits(self, network: LayerStack) -> bool:
         """Return whether a network is packed so, too."""
@@ -107,13 +109,11 @@ class Layout:
 
     def packed(self, weights: list[Tensor]) -> Array:
         """Return the weights packed [P]; the mean that a norm subtracts is taken off the layer before it."""
-        flat = torch.cat([torch.zeros(1), *[weight.detach().reshape(-1) for weight in weights]]).numpy()[self.source]
-        arrays = self.cut(flat)
-        width = self.width
-        for mlp in (arrays.node_encoder, arrays.edge_encoder, *arrays.messages, *arrays.updates):
-            for last in (mlp.deeper[-1, :width, :width], mlp.biases[-1:, :width]):
-                last -= last.mean(axis=1, keepdims=True)
-        return cast(Array, flat)
+        given = [weight.detach() for weight in weights]
+        for k in self._before_norms:
+            given[k] = given[k] - given[k].mean(dim=0)
+        flat: Array = torch.cat([torch.zeros(1), *[weight.reshape(-1) for weight in given]]).numpy()[self.source]
+        return flat
 
     def cut(self, flat: Array) -> Arrays:
         """Return the views of memory [P] that the compiled loops take."""
@@ -151,6 +151,7 @@ class Layout:
             row[: len(bias)] = bias
         if norm is not None:
             scales[:, : self.width] = self._number(norm.weight), self._number(norm.bias)
+            self._before_norms += [self._order[id(linears[-1].weight)], self._order[id(linears[-1].bias)]]
         self._shares.append(np.array([1 / self.width, 0.0 if norm is None else norm.eps], np.float32))
         return [first, np.stack([self._square(each) for each in weights[1:]]), rows, scales]
 
