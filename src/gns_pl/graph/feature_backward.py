@@ -1,4 +1,4 @@
-"""The way back through `graph.feature_loops`: derivatives of features by positions and velocities, a particle a time."""
+"""The way back through `graph.feature_loops`: derivatives by positions and velocities, a particle a time."""
 
 from __future__ import annotations
 

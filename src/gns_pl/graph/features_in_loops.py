@@ -64,11 +64,11 @@ class NodeConstants(NamedTuple):
     spacing: float
     grid: list[Array] | None
 
-    def sizes(self) -> tuple[np.float32, ...]:
+    def sizes(self) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
         """Return what `fill_context` wants behind the volumes."""
         cell = self.spacing ** self.lower.shape[1]
-        numbers = (REACH * self.radius, self.radius, EMPTY, cell, self.velocity_scale)
-        return tuple(np.float32(number) for number in numbers)
+        reach, radius, empty = np.float32(REACH * self.radius), np.float32(self.radius), np.float32(EMPTY)
+        return reach, radius, empty, np.float32(cell), self.velocity_scale
 
 
 class _EdgeFeatures(torch.autograd.Function):
@@ -113,18 +113,29 @@ class _NodeFeatures(torch.autograd.Function):
     def backward(ctx: Any, above: Tensor) -> tuple[Tensor | None, ...]:
         velocity, position = ctx.saved_tensors
         constants: NodeConstants = ctx.constants
-        to_velocity, to_position = (torch.zeros_like(given, memory_format=torch.contiguous_format) for given in (velocity, position))
+        to_velocity, to_position = (
+            torch.zeros_like(given, memory_format=torch.contiguous_format) for given in (velocity, position)
+        )
         to_material = above.new_zeros(ctx.of_material) if ctx.needs_input_grad[2] else None
-        columns, place, lower, batch, volume = _array(above), _array(position), constants.lower, constants.batch, constants.volume
+        columns, place, lower, batch, volume = (
+            _array(above),
+            _array(position),
+            constants.lower,
+            constants.batch,
+            constants.volume,
+        )
         settings = constants.velocity_scale, place, lower, constants.upper, batch, np.float32(constants.radius)
         by_position, by_velocity = to_position.numpy(), to_velocity.numpy()
         begin = motion_and_walls_backward(columns, *settings, by_velocity, by_position)
         if constants.grid is not None:
-            context, *summed = ctx.summed
-            given = context_backward(columns, context, place, lower, batch, volume, *constants.sizes(), begin, by_position)
+            context, nodal, corner, weight = ctx.summed
+            given = context_backward(
+                columns, context, place, lower, batch, volume, *constants.sizes(), begin, by_position
+            )
             latest, by_latest = (np.ascontiguousarray(each[:, -1]) for each in (_array(velocity), by_velocity))
-            arrays = place, latest, batch, volume, *constants.grid
-            sums_backward(given, *summed, *arrays, by_position, by_latest)
+            sums_backward(
+                given, nodal, corner, weight, place, latest, batch, volume, *constants.grid, by_position, by_latest
+            )
             by_velocity[:, -1] = by_latest
             begin += 4 + position.shape[1]
         if to_material is not None:

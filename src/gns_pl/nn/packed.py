@@ -83,12 +83,12 @@ class PackedNetwork:
     """
 
     def __init__(self, network: LayerStack, before: PackedNetwork | None = None) -> None:
-        fits = before is not None and before.layout.fits(network)
-        self.layout = before.layout if before is not None and fits else Layout(network)
+        before = before if before is not None and before.layout.fits(network) else None
+        self.layout: Layout = before.layout if before is not None else Layout(network)
         self.static_edges = network.static_edges
         self._flat = self.layout.packed(network.weights())
         self.arrays = self.layout.cut(self._flat)
-        self._spare: list[Array] = before._spare if before is not None and fits else []
+        self._spare: list[Array] = before._spare if before is not None else []
 
     @functools.cached_property
     def turned(self) -> TurnedArrays:
@@ -169,7 +169,13 @@ class PackedNetwork:
         for layer, message in enumerate(arrays.messages):
             last, encodes = layer + 1 == layers, layer == 0
             keeps = not last and (encodes or not self.static_edges)
-            of_edges = (edge_features, states.edge[layer], states.edge[layer + 1], edges.sender.numpy(), edges.start.numpy())
+            of_edges = (
+                edge_features,
+                states.edge[layer],
+                states.edge[layer + 1],
+                edges.sender.numpy(),
+                edges.start.numpy(),
+            )
             ends = (states.sending[layer], states.receiving[layer], states.received[layer])
             settings = (encodes, keeps, not self.static_edges)
             edges.share_alike(pass_messages, arrays.edge_encoder, message, *of_edges, *ends, *settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, cast
 
 import numpy as np
@@ -23,7 +24,9 @@ from gns_pl.nn.sorted_edges import SortedEdges
 from gns_pl.nn.stack import LayerStack
 
 
-def differentiable_pass(network: LayerStack, packed: PackedNetwork, node: Tensor, edge: Tensor, edges: SortedEdges) -> Tensor:
+def differentiable_pass(
+    network: LayerStack, packed: PackedNetwork, node: Tensor, edge: Tensor, edges: SortedEdges
+) -> Tensor:
     """Return the decoded nodes [N, output_width] with derivatives by features and weights.
 
     Args:
@@ -53,7 +56,7 @@ class _Pass(torch.autograd.Function):
         layout = ctx.packed.layout
         sums = np.zeros((len(ctx.edges.parts), 2, len(layout.source)), np.float32)
         to_node, to_edge = _go_back(ctx.packed, ctx.edges, ctx.states, sums, node, edge, above)
-        found = torch.from_numpy(sums.sum(axis=(0, 1))[layout.place]).split(ctx.sizes)
+        found = torch.split(torch.from_numpy(sums.sum(axis=(0, 1))[layout.place]), ctx.sizes)
         gradients = [part.view(shape) for part, shape in zip(found, ctx.shapes, strict=True)]
         return None, None, to_node, to_edge, *gradients
 
@@ -122,6 +125,6 @@ def _go_back(
 
     edges.share(begin, lambda part: [part])
     for layer in reversed(range(layers)):
-        edges.share(messages, lambda part, layer=layer: [layer, part])
-        edges.share(gather, lambda part, layer=layer: [layer, part])
+        edges.share(functools.partial(messages, layer), lambda part: [part])
+        edges.share(functools.partial(gather, layer), lambda part: [part])
     return torch.from_numpy(to_features), torch.from_numpy(to_edge_features)

@@ -7,7 +7,7 @@ that a network is packed, and gradients are unpacked, by one look-up each, and n
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -115,17 +115,22 @@ class Layout:
         flat: Array = torch.cat([torch.zeros(1), *[weight.reshape(-1) for weight in given]]).numpy()[self.source]
         return flat
 
-    def cut(self, flat: Array) -> Arrays:
+    def cut(self, flat: NDArray[Any]) -> Arrays:
         """Return the views of memory [P] that the compiled loops take."""
         arrays = _cut(flat, self._shapes)
-        mlps = [Weights(*arrays[4 * k : 4 * k + 4], share) for k, share in enumerate(self._shares)]
-        return Arrays(*mlps[:3], mlps[3 : 3 + self.layers], mlps[3 + self.layers :], arrays[4 * len(mlps) :])
+        first, deeper, biases, norm = (arrays[k : 4 * len(self._shares) : 4] for k in range(4))
+        mlps = [Weights(*parts) for parts in zip(first, deeper, biases, norm, self._shares, strict=True)]
+        node, edge, decoder, *others = mlps
+        return Arrays(node, edge, decoder, others[: self.layers], others[self.layers :], arrays[4 * len(mlps) :])
 
     def turned(self, flat: Array) -> TurnedArrays:
         """Return what is packed in memory [P] for the way back."""
         arrays = _cut(np.append(np.float32(0), flat)[self._turned_source], self._turned_shapes)
-        mlps = [Turned(*arrays[2 * k : 2 * k + 2]) for k in range(len(self._shares))]
-        return TurnedArrays(*mlps[:3], mlps[3 : 3 + self.layers], mlps[3 + self.layers :], arrays[2 * len(mlps) :])
+        number = 2 * len(self._shares)
+        node, edge, decoder, *others = [
+            Turned(*parts) for parts in zip(arrays[:number:2], arrays[1:number:2], strict=True)
+        ]
+        return TurnedArrays(node, edge, decoder, others[: self.layers], others[self.layers :], arrays[number:])
 
     def _number(self, weight: Tensor) -> NDArray[np.int64]:
         return self._numbers[id(weight)]
@@ -171,7 +176,7 @@ def _epsilons(network: LayerStack) -> list[float]:
     return [cast(nn.LayerNorm, part[-1]).eps for part in parts]
 
 
-def _cut(flat: Array, shapes: list[tuple[int, ...]]) -> list[Array]:
+def _cut(flat: NDArray[Any], shapes: list[tuple[int, ...]]) -> list[Array]:
     """Return arrays of shapes that lie one behind the other."""
     arrays, begin = [], 0
     for shape in shapes:

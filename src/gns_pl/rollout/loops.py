@@ -83,8 +83,8 @@ def move_apart(
 
 @compile_function
 def slowing(
-    dt: float, rounding: float, slow: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any, batch: Any,
-    gravity: Any, lower: Any, upper: Any,
+    dt: float, rounding: float, slow: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any,
+    batch: Any, gravity: Any, lower: Any, upper: Any,
 ) -> Any:  # fmt: skip
     """Return of every scene by what `StableStepper` scales its velocities [B]; 1, or NaN: by nothing.
 
