@@ -78,7 +78,7 @@ def test_layers_that_pass_nothing_on_have_derivatives() -> None:
         got = results(network, *graph)
         truth = results(network.double(), graph[0].double(), graph[1].double(), graph[2])
         for mine, exact in zip(got, truth, strict=True):
-            exact = exact.detach().expand_as(mine)  # zeros of what is not used
+            exact = exact.detach().double().expand_as(mine)  # zeros of what is not used
             torch.testing.assert_close(mine.double(), exact, rtol=0, atol=1e-5 * max(1.0, float(exact.abs().max())))
 
 

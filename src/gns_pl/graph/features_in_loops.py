@@ -117,13 +117,8 @@ class _NodeFeatures(torch.autograd.Function):
             torch.zeros_like(given, memory_format=torch.contiguous_format) for given in (velocity, position)
         )
         to_material = above.new_zeros(ctx.of_material) if ctx.needs_input_grad[2] else None
-        columns, place, lower, batch, volume = (
-            _array(above),
-            _array(position),
-            constants.lower,
-            constants.batch,
-            constants.volume,
-        )
+        columns, place = _array(above), _array(position)
+        lower, batch, volume = constants.lower, constants.batch, constants.volume
         settings = constants.velocity_scale, place, lower, constants.upper, batch, np.float32(constants.radius)
         by_position, by_velocity = to_position.numpy(), to_velocity.numpy()
         begin = motion_and_walls_backward(columns, *settings, by_velocity, by_position)
@@ -133,9 +128,8 @@ class _NodeFeatures(torch.autograd.Function):
                 columns, context, place, lower, batch, volume, *constants.sizes(), begin, by_position
             )
             latest, by_latest = (np.ascontiguousarray(each[:, -1]) for each in (_array(velocity), by_velocity))
-            sums_backward(
-                given, nodal, corner, weight, place, latest, batch, volume, *constants.grid, by_position, by_latest
-            )
+            rest = [*constants.grid, by_position, by_latest]
+            sums_backward(given, nodal, corner, weight, place, latest, batch, volume, *rest)
             by_velocity[:, -1] = by_latest
             begin += 4 + position.shape[1]
         if to_material is not None:
