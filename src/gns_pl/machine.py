@@ -170,17 +170,21 @@ def compile_function(function: F, subfolder: str = "", **options: Any) -> F:
     return cast(F, compiled)
 
 
-def compiles(*tensors: Tensor) -> bool:
+def compiles(*tensors: Tensor, backward: bool = False) -> bool:
     """Return whether compiled loops take tensors: float32, on the CPU, none of which wants a derivative.
 
     Neither torch's compiler nor an exported program sees into a loop.
+
+    Args:
+        *tensors: that go in.
+        backward: there are loops for derivatives, too.
     """
     import torch
 
     if torch.compiler.is_exporting() or torch.compiler.is_compiling():
         return False
     known = all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
-    return known and not any(tensor.requires_grad for tensor in tensors)
+    return known and (backward or not any(tensor.requires_grad for tensor in tensors))
 
 
 @contextlib.contextmanager

@@ -13,6 +13,13 @@ from gns_pl.nn import EncodeProcessDecode
 from gns_pl.nn.sorted_edges import SortedEdges
 
 
+@pytest.fixture(params=[True, False], autouse=True)
+def packs(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whole networks in compiled loops, and torch's products with compiled loops between them."""
+    if not request.param:
+        monkeypatch.setattr("gns_pl.nn.encode_process_decode.can_pack", lambda network: False)
+
+
 def make_graph(nodes: int = 40, edges: int = 300) -> tuple[Tensor, Tensor, Tensor]:
     """Random node and edge features; the first and last nodes receive nothing, and some edges are double."""
     generator = torch.Generator().manual_seed(0)

@@ -25,7 +25,7 @@ LOOPS = ("graph.features", "models.simulator", "rollout.rest", "rollout.stabilis
 def without_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let torch's operations make everything."""
     for module in LOOPS:
-        monkeypatch.setattr(f"gns_pl.{module}.compiles", lambda *tensors: False)
+        monkeypatch.setattr(f"gns_pl.{module}.compiles", lambda *tensors, backward=False: False)
     monkeypatch.setattr("gns_pl.nn.encode_process_decode.can_pack", lambda network: False)
 
 
@@ -95,15 +95,46 @@ def test_particles_move_apart_alike(spread: float, monkeypatch: pytest.MonkeyPat
     torch.testing.assert_close(got, expected, atol=1e-6, rtol=0)
 
 
-def test_with_gradients_torch_makes_the_step(column: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    def forbidden(*arguments: object) -> None:
-        raise AssertionError("a compiled loop")
+@pytest.mark.parametrize("output", ["acceleration", "gated"])
+@pytest.mark.parametrize("context", [False, True])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_step_has_the_derivatives_of_torchs_operations(output: str, context: bool, dim: int) -> None:
+    """Of single precision in loops by history, material and weights, against those of double precision, which has none.
 
-    for name in ("gated_in_contact", "integrated"):
-        monkeypatch.setattr(f"gns_pl.models.simulator.{name}", forbidden)
-    for name in ("fill_edges", "fill_motion_and_walls"):
-        monkeypatch.setattr(f"gns_pl.graph.features.{name}", forbidden)
-    monkeypatch.setattr("gns_pl.nn.packed.PackedNetwork.__call__", forbidden)
+    With particles out of the box, alone, on top of each other, and one that a script holds; two boxes.
+    """
+    settings: dict[str, Any] = {"material_features": ("tan_friction_angle",), "particle_types": (3, 6)}
+    simulator = make_simulator(output=output, context=context, dim=dim, **settings)
+    draw, number = torch.Generator().manual_seed(0), 120
+    scenes = make_static(number // 2, graphs=2, gravity=(*[0.0] * (dim - 1), -9.81))
+    scenes = replace(scenes, material=torch.rand(number, 1, generator=draw))
+    scenes.particle_type[5] = 3
+    scenes.upper[1] *= 0.7
+    position = torch.rand(number, dim, generator=draw) * torch.linspace(0.2, 0.4, dim)
+    position[3, 0], position[4], position[9] = -0.01, 0.6, position[8] + 1e-3
+    shifts = 0.01 * torch.randn(number, simulator.history_length, dim, generator=draw).cumsum(dim=1)
+    history = position[:, None] + shifts - shifts[:, -1:]
+    weight = torch.randn(number, dim, generator=draw)
+
+    def gradients(dtype: torch.dtype) -> list[torch.Tensor]:
+        material = scenes.material.to(dtype, copy=True).requires_grad_()
+        past = history.to(dtype, copy=True).requires_grad_()
+        static = replace(scenes.in_precision(dtype), material=material)
+        moved = simulator.to(dtype)(past, static)
+        found = torch.autograd.grad((weight.to(dtype) * moved).sum(), [past, material, *simulator.parameters()])
+        return [value.double() for value in found]
+
+    for mine, exact in zip(gradients(torch.float32), gradients(torch.float64), strict=True):
+        assert bool(exact.abs().max() > 0)
+        torch.testing.assert_close(mine, exact, rtol=0, atol=1e-5 * float(exact.abs().max()))
+
+
+def test_compiled_loops_make_the_step_with_derivatives_too(column: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*arguments: object, **settings: object) -> None:
+        raise AssertionError("torch's operations")
+
+    monkeypatch.setattr("gns_pl.graph.features.context_fields", forbidden)
+    monkeypatch.setattr("gns_pl.nn.interaction_network.InteractionNetwork.forward", forbidden)
     simulator, start = make_simulator(output="gated", context=True), make_start(column)
     history = history_of(Run(start, 1), simulator.config).requires_grad_()
     simulator(history, static_of(start)).sum().backward()

@@ -26,6 +26,13 @@ DENSE_NODES = 2**20
 """A box of at most so many nodes has an array of all of them; of a larger one only the nodes at particles are kept."""
 
 
+REACH = 4.0
+"""The distance to the floor is cut at this many connectivity radii where context is wanted. Only the floor's: a far
+side wall would be one more thing that a narrower or wider box than those of the data shows in a new way."""
+
+EMPTY = 2.0
+"""The empty height below is cut at this many connectivity radii; a body higher up falls freely for some steps."""
+
 DENSE_BYTES, SPARSE_BYTES = {2: 88, 3: 112}, {2: 330, 3: 400}
 """D → bytes for every node of a box; and, of larger boxes, for every node of every particle."""
 

@@ -1,4 +1,4 @@
-"""Features on a CPU without derivatives: what `graph.features` and `graph.context` say, a particle a time.
+"""Features on a CPU: what `graph.features` and `graph.context` say, a particle a time.
 
 Of a thousand particles the dozens of small torch operations take ten times as long as their arithmetic.
 """
@@ -64,7 +64,7 @@ def sum_context(
     position: Any, velocity: Any, batch: Any, volume: Any,
     lower: Any, edge: Any, cells: Any, shape: Any, room: Any, height: Any,
 ) -> Any:  # fmt: skip
-    """Return what `context_fields` does, one column each [N, D + 4]; the grid is one whose nodes all are kept.
+    """Return what `context_fields` does, and what its derivatives need; the grid is one whose nodes all are kept.
 
     Args:
         position: [N, D] [m].
@@ -77,6 +77,10 @@ def sum_context(
         shape: nodes of every axis [D].
         room: of every node.
         height: likewise.
+
+    Returns:
+        The fields, one column each [N, D + 4]; what is interpolated of them at the nodes [G, D + 3]; the nodes around
+        every particle and their weights, each [N, 2^D].
     """
     number, dim = position.shape
     corners, half = 1 << dim, np.float32(0.5)
@@ -134,7 +138,7 @@ def sum_context(
             for c in range(dim + 3):
                 result[i, c] += weight[i, corner] * nodal[k, c]
         result[i, dim + 3] -= result[i, dim + 1]
-    return result
+    return result, nodal, node, weight
 
 
 @compile_function

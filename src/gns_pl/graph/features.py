@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from gns_pl.fields import ParticleType
-from gns_pl.graph.context import ContextGrid, context_fields
-from gns_pl.graph.feature_loops import fill_context, fill_edges, fill_kinds, fill_motion_and_walls, sum_context
+from gns_pl.graph.context import EMPTY, REACH, ContextGrid, context_fields
+from gns_pl.graph.features_in_loops import NodeConstants, edges_in_loops, nodes_in_loops
 from gns_pl.machine import compiles
 
 
@@ -84,14 +84,6 @@ def in_precision(history: Tensor, scenes: SceneBatch, dtype: torch.dtype) -> tup
     return history.to(dtype), scenes.in_precision(dtype)
 
 
-REACH = 4.0
-"""The distance to the floor is cut at this many connectivity radii where context is wanted. Only the floor's: a far
-side wall would be one more thing that a narrower or wider box than those of the data shows in a new way."""
-
-EMPTY = 2.0
-"""The empty height below is cut at this many connectivity radii; a body higher up falls freely for some steps."""
-
-
 def node_width(
     *, dim: int, input_sequence_length: int, num_particle_types: int, num_material_features: int, context: bool
 ) -> int:
@@ -130,12 +122,23 @@ def node_features(
         [N, F]: velocities, distances to the lower and upper walls, context, type, material.
     """
     kinds = particle_types if len(particle_types) > 1 else ()
-    if compiles(velocity, position, velocity_scale, material_scale, scenes.lower, scenes.volume, scenes.material):
-        feature = _compiled_features(
-            velocity, position, scenes, velocity_scale, radius, spacing, kinds, material_scale, context
+    able = compiles(velocity, position, scenes.material, backward=True)
+    able = able and compiles(velocity_scale, material_scale, scenes.lower, scenes.upper, scenes.volume)
+    grid = scenes.grid(radius).arrays if able and context else None
+    if able and (grid is not None or not context):
+        arrays = (scenes.lower, scenes.upper, scenes.batch, scenes.volume, scenes.particle_type)
+        lower, upper, batch, volume, types = (tensor.contiguous().numpy() for tensor in arrays)
+        width = node_width(
+            dim=position.shape[1],
+            input_sequence_length=velocity.shape[1] + 1,
+            num_particle_types=len(kinds),
+            num_material_features=material_scale.shape[1],
+            context=context,
         )
-        if feature is not None:
-            return feature
+        of_kinds, scale = np.array(kinds, np.int64), material_scale.contiguous().numpy()
+        numbers = (np.float32(velocity_scale), radius, spacing)
+        constants = NodeConstants(width, lower, upper, batch, volume, types, of_kinds, scale, *numbers, grid)
+        return nodes_in_loops(velocity, position, scenes.material, constants)
     to_lower = position - scenes.of_particles(scenes.lower)
     to_upper = scenes.of_particles(scenes.upper) - position
     walls = torch.cat([to_lower, to_upper], dim=1) / radius
@@ -159,48 +162,6 @@ def node_features(
     return torch.cat(parts, dim=1)
 
 
-def _compiled_features(
-    velocity: Tensor,
-    position: Tensor,
-    scenes: SceneBatch,
-    velocity_scale: Tensor,
-    radius: float,
-    spacing: float,
-    kinds: tuple[int, ...],
-    material_scale: Tensor,
-    context: bool,
-) -> Tensor | None:
-    """Return `node_features`; None where the context's grid is too large."""
-    grid = scenes.grid(radius).arrays if context else None
-    if context and grid is None:
-        return None
-    number, steps, dim = velocity.shape
-    width = node_width(
-        dim=dim,
-        input_sequence_length=steps + 1,
-        num_particle_types=len(kinds),
-        num_material_features=material_scale.shape[1],
-        context=context,
-    )
-    feature = position.new_empty(number, width)
-    scale, reach = np.float32(velocity_scale), np.float32(REACH * radius)
-    place, lower, batch, volume = (
-        tensor.contiguous().numpy() for tensor in (position, scenes.lower, scenes.batch, scenes.volume)
-    )
-    speeds, upper, columns = velocity.contiguous().numpy(), scenes.upper.contiguous().numpy(), feature.numpy()
-    begin = fill_motion_and_walls(speeds, scale, place, lower, upper, batch, np.float32(radius), columns)
-    if grid is not None:
-        summed = sum_context(place, np.ascontiguousarray(speeds[:, -1]), batch, volume, *grid)
-        sizes = (reach, np.float32(radius), np.float32(EMPTY), np.float32(spacing**dim), scale)
-        fill_context(summed, place, lower, batch, volume, *sizes, begin, columns)
-        begin += 4 + dim
-    types, material, of_material = (
-        tensor.contiguous().numpy() for tensor in (scenes.particle_type, scenes.material, material_scale)
-    )
-    fill_kinds(types, np.array(kinds, np.int64), material, of_material, begin, columns)
-    return feature
-
-
 def edge_width(dim: int) -> int:
     """Return the width of `edge_features`."""
     return dim + 1
@@ -214,9 +175,7 @@ def edge_features(position: Tensor, edge_index: Tensor, radius: float) -> Tensor
         edge_index: [2, E], sender and receiver.
         radius: connectivity radius R [m].
     """
-    if compiles(position):
-        feature = position.new_empty(edge_index.shape[1], edge_width(position.shape[1]))
-        fill_edges(position.contiguous().numpy(), edge_index.numpy(), np.float32(radius), feature.numpy())
-        return feature
+    if compiles(position, backward=True):
+        return edges_in_loops(position, edge_index, radius)
     displacement = (position[edge_index[0]] - position[edge_index[1]]) / radius
     return torch.cat([displacement, displacement.norm(dim=1, keepdim=True)], dim=1)

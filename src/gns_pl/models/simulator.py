@@ -207,11 +207,10 @@ class Simulator(nn.Module):
         node, edge_index = self.features(history, scenes, search)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = (network or self.network)(node, edge, edge_index)
-        if compiles(history, output, self.acceleration_scale, scenes.lower, scenes.gravity):
+        if compiles(history, output, backward=True) and self._compiles(scenes):
             scales, boxes = self._numbers(), self._boxes(scenes)
             arrays = (edge_index.numpy(), *boxes, np.float32(config.connectivity_radius))
-            gated = config.output == "gated"
-            return torch.from_numpy(gated_in_contact(output.numpy(), gated, history.numpy(), *scales, *arrays))
+            return gated_in_contact(output, history, config.output == "gated", *scales, *arrays)
         if config.output == "gated":
             increment, gate = output.chunk(2, dim=1)
             velocity = history.diff(dim=1) / config.dt
@@ -257,10 +256,9 @@ class Simulator(nn.Module):
             normalised: (a − g) / `acceleration_scale` [N, D].
             scenes: those that are stepped.
         """
-        if compiles(history, normalised, self.acceleration_scale, scenes.lower, scenes.gravity):
+        if compiles(history, normalised, backward=True) and self._compiles(scenes):
             dt, scale = self._numbers()
-            arrays = (*self._boxes(scenes), scenes.moved.numpy())
-            return torch.from_numpy(integrated(history.numpy(), normalised.numpy(), scale, dt, *arrays))
+            return integrated(history, normalised, scale, dt, *self._boxes(scenes), scenes.moved.numpy())
         acceleration = normalised * self.acceleration_scale + scenes.of_particles(scenes.gravity)
         velocity = (history[:, -1] - history[:, -2]) / self.config.dt + acceleration * self.config.dt
         step = velocity * self.config.dt
@@ -268,6 +266,10 @@ class Simulator(nn.Module):
         position = torch.clamp(history[:, -1] + step, lower, upper)
         position = torch.where(step.abs() > upper - lower, torch.nan, position)
         return torch.where(scenes.moved[:, None], position, history[:, -1])
+
+    def _compiles(self, scenes: SceneBatch) -> bool:
+        """Return whether compiled loops take what has no derivative in them."""
+        return compiles(self.acceleration_scale, scenes.lower, scenes.upper, scenes.gravity)
 
     def _numbers(self) -> tuple[np.float32, np.float32]:
         """Return time of a step [s] and scale of accelerations [m/s²], for compiled loops."""

@@ -15,7 +15,7 @@ from gns_pl.machine import compile_function
 
 def _subfolder() -> str:
     digest = hashlib.sha256()
-    for source in ("compiled.py", "lanes.py", "passes.py"):
+    for source in ("backward.py", "compiled.py", "lanes.py", "passes.py", "tiles_backward.py"):
         digest.update((Path(__file__).parent / source).read_bytes())
     return f"nn-{digest.hexdigest()[:12]}"
 

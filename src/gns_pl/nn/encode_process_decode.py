@@ -14,6 +14,7 @@ from gns_pl.nn.blocks import process_in_blocks
 from gns_pl.nn.interaction_network import InteractionNetwork
 from gns_pl.nn.mlp import mlp
 from gns_pl.nn.packed import PackedNetwork, can_pack
+from gns_pl.nn.packed_gradient import differentiable_pass
 from gns_pl.nn.sorted_edges import SortedEdges
 from gns_pl.nn.stack import LayerStack
 
@@ -86,6 +87,10 @@ class EncodeProcessDecode(LayerStack):
         able = self.compiled_edges and node.device.type == "cpu" and node.dtype == torch.float32
         able = able and not (plain or torch.is_autocast_enabled("cpu"))
         sorted_edges = SortedEdges.of(edge_index, len(node)) if able else None
+        if sorted_edges is not None and self.exchange is None and torch.is_grad_enabled():
+            packed = self._packed()
+            if packed is not None:
+                return differentiable_pass(self, packed, node, edge, sorted_edges)
         if sorted_edges is not None and not torch.is_grad_enabled():
             packed = self._packed()
             if packed is not None:
@@ -126,17 +131,13 @@ class EncodeProcessDecode(LayerStack):
         """Return the forward pass in compiled loops, for the weights as they are; None where there is none."""
         key = self._state_key(str(self.static_edges))
         if key != self._packed_key:
-            self._packed_key, self._packed_network = key, PackedNetwork(self) if can_pack(self) else None
+            self._packed_key = key
+            self._packed_network = PackedNetwork(self, self._packed_network) if can_pack(self) else None
         return self._packed_network
 
     def _state_key(self, setting: str) -> tuple[object, ...]:
         """Return what changes when the weights do, or are another network's."""
-        modules: list[nn.Module] = [self]
-        found: list[nn.Parameter | None] = []
-        for module in modules:  # grows; `parameters()` makes names besides, and takes ten times as long
-            modules.extend(filter(None, module._modules.values()))
-            found.extend(module._parameters.values())
-        weights = [weight for weight in found if weight is not None]
+        weights = self.weights()
         places = [weight.data_ptr() for weight in weights]
         return id(self), setting, *places, *[0 if weight.is_inference() else weight._version for weight in weights]
 

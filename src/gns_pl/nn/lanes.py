@@ -26,6 +26,9 @@ ROWS = 12 if binding.get_host_cpu_features().get("avx512f") else 6
 STRIDE = 64
 """Numbers from one row of a tile to the next: known to the compiler, whatever the width is."""
 
+BAND = 4
+"""Rows of a matrix to which `add_outer` adds at a time; they stay in registers."""
+
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)
 _FAST = ("reassoc", "contract", "nsz")  # NaN and infinity stay what they are
 
@@ -110,6 +113,17 @@ def rectify(typing_context, value):
 
 
 @intrinsic
+def where_positive(typing_context, sign, value):
+    """Return the numbers of a value where those of another one are positive, and 0 in the place of the rest."""
+
+    def generate(context, builder, signature, arguments):
+        zero = ir.Constant(_VECTOR, None)
+        return builder.select(builder.fcmp_ordered(">", arguments[0], zero), arguments[1], zero)
+
+    return value(sign, value), generate
+
+
+@intrinsic
 def total(typing_context, value):
     """Return the sum of sixteen numbers."""
 
@@ -170,3 +184,31 @@ def add_product(typing_context, into, tile, column, weight, begin, width, depth)
 
     place = types.intp
     return types.none(into, tile, place, weight, place, place, place), generate
+
+
+@intrinsic
+def add_outer(typing_context, into, begin, width, tile, row, above, column):
+    """Add to `BAND` rows of sixteen columns of a matrix, which begins at `begin`, the products of two tiles' columns.
+
+    into[begin + (row + k) · width + column + c] += Σ_r tile[r, row + k] above[r, column + c]; r < `ROWS`, c < `LANES`.
+    """
+
+    def generate(context, builder, signature, arguments):
+        into, tile, above = (_data(context, builder, signature.args[n], arguments[n]) for n in (0, 3, 5))
+        _, begin, width, _, row, _, column = arguments
+        begin = builder.add(builder.add(begin, column), builder.mul(row, width))
+        places = [builder.add(begin, builder.mul(width, width.type(k))) for k in range(BAND)]
+        targets = [_vector_at(builder, into, place) for place in places]
+        sums = [builder.load(target, align=4) for target in targets]
+        for r in range(ROWS):
+            factors = builder.load(_vector_at(builder, above, builder.add(column, column.type(r * STRIDE))), align=4)
+            for k, value in enumerate(sums):
+                place = builder.add(row, row.type(r * STRIDE + k))
+                number = _repeated(builder, builder.load(builder.gep(tile, [place])))
+                sums[k] = _multiply_add(builder, number, factors, value)
+        for target, value in zip(targets, sums, strict=True):
+            builder.store(value, target, align=4)
+        return context.get_dummy_value()
+
+    place = types.intp
+    return types.none(into, place, place, tile, place, above, place), generate

@@ -1,4 +1,4 @@
-"""A network of small width on a CPU without gradients: its weights packed once, its pass in a few compiled loops.
+"""A network of small width on a CPU: its weights packed once, its pass in a few compiled loops.
 
 With states of 32 numbers and a thousand particles, what stands between the products, and the hundreds of calls that
 make them, take longer than the products do. Here a tile of edges, and then of nodes, goes through a whole layer in the
@@ -7,16 +7,18 @@ first cache and in registers (`nn.passes`).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from gns_pl.nn.interaction_network import InteractionNetwork
-from gns_pl.nn.lanes import LANES, ROWS, STRIDE
-from gns_pl.nn.passes import Array, Weights, decode, encode_nodes, hand_on, pass_messages, update_nodes
+from gns_pl.nn.lanes import ROWS, STRIDE
+from gns_pl.nn.packed_layout import Layout, TurnedArrays, padded_width
+from gns_pl.nn.passes import Array, decode, encode_nodes, hand_on, pass_messages, update_nodes
 from gns_pl.nn.sorted_edges import SortedEdges
 from gns_pl.nn.stack import LayerStack
 
@@ -27,20 +29,18 @@ SPARE_BYTES = 2**25
 """Memory of a pass that is kept for the next one."""
 
 
-def padded_width(width: int) -> int:
-    """Return the numbers that a state of a width takes."""
-    return -(-width // LANES) * LANES
-
-
 def can_pack(network: LayerStack) -> bool:
     """Return whether the compiled loops know a network's layers, and are wide enough for it."""
     if any(type(layer) is not InteractionNetwork for layer in network.layers):
         return False
     normed = [network.node_encoder, network.edge_encoder]
     normed += [part for layer in network.layers for part in (layer.edge_mlp, layer.node_mlp)]
+    ends = [part for layer in network.layers for part in (layer.sender, layer.receiver)]
     if not (_is_plain(network.decoder, nn.Linear) and all(_is_plain(part, nn.LayerNorm) for part in normed)):
         return False
     width = padded_width(cast(nn.Linear, network.decoder[0]).in_features)
+    if len(network.weights()) != sum(len(list(part.parameters())) for part in [*normed, network.decoder, *ends]):
+        return False  # it has others besides
     outputs = cast(nn.Linear, network.decoder[-1]).out_features
     inputs = [cast(nn.Linear, part[0]).in_features for part in normed[:2]]
     return max(width, *inputs) <= STRIDE and outputs <= width
@@ -54,55 +54,46 @@ def _is_plain(part: nn.Sequential, end: type[nn.Module]) -> bool:
     return plain and kinds[-1] is end and all(layer.bias is not None for layer in part if isinstance(layer, nn.Linear))
 
 
+class States(NamedTuple):
+    """Arrays that a pass fills in, in lists over layers.
+
+    Attributes:
+        memory: in which they lie [rows, W].
+        node: node states that a layer is given, and those behind the last [N + ROWS, W].
+        sending: what a layer's messages need of their sender, alike.
+        receiving: and of their receiver.
+        received: sums of messages.
+        edge: edge states that a layer is given [E + ROWS, W]; the first makes them itself.
+    """
+
+    memory: Array
+    node: list[Array]
+    sending: list[Array]
+    receiving: list[Array]
+    received: list[Array]
+    edge: list[Array]
+
+
 class PackedNetwork:
     """The weights of a network as the compiled loops want them, and its forward pass.
 
     Args:
         network: that `can_pack` takes; later changes of its weights are not seen.
+        before: the same network with other weights, most of the time; what suits is used again.
     """
 
-    def __init__(self, network: LayerStack) -> None:
-        self.width = cast(nn.Linear, network.decoder[0]).in_features
-        self.padded = padded_width(self.width)
-        self.outputs = cast(nn.Linear, network.decoder[-1]).out_features
+    def __init__(self, network: LayerStack, before: PackedNetwork | None = None) -> None:
+        before = before if before is not None and before.layout.fits(network) else None
+        self.layout: Layout = before.layout if before is not None else Layout(network)
         self.static_edges = network.static_edges
-        self.node_encoder, self.edge_encoder = self._mlp(network.node_encoder, 0), self._mlp(network.edge_encoder, 0)
-        self.decoder = self._mlp(network.decoder, 1)
-        self.messages = [self._mlp(layer.edge_mlp, 1) for layer in network.layers]
-        self.updates = [self._mlp(layer.node_mlp, 2) for layer in network.layers]
-        self.ends = [
-            np.stack([self._square(layer.sender.weight), self._square(layer.receiver.weight)])
-            for layer in network.layers
-        ]
-        self._spare: list[Array] = []
+        self._flat = self.layout.packed(network.weights())
+        self.arrays = self.layout.cut(self._flat)
+        self._spare: list[Array] = before._spare if before is not None else []
 
-    def _square(self, weight: Tensor) -> Array:
-        """Return a weight [out, in] transposed and padded [W, W]."""
-        square = np.zeros((self.padded, self.padded), np.float32)
-        square[: weight.shape[1], : weight.shape[0]] = weight.detach().t().numpy()
-        return square
-
-    def _mlp(self, part: nn.Sequential, parts: int) -> Weights:
-        """Pack a perceptron whose input is so many states one behind the other; 0: features."""
-        linears = [each for each in part if isinstance(each, nn.Linear)]
-        norm = next((each for each in part if isinstance(each, nn.LayerNorm)), None)
-        weights, biases = [each.weight.detach() for each in linears], [each.bias.detach() for each in linears]
-        if norm is not None:
-            weights[-1], biases[-1] = weights[-1] - weights[-1].mean(dim=0), biases[-1] - biases[-1].mean()
-        if parts:
-            first = np.concatenate([self._square(each) for each in torch.chunk(weights[0], parts, dim=1)])
-        else:
-            first = np.zeros((weights[0].shape[1], self.padded), np.float32)
-            first[:, : self.width] = weights[0].t().numpy()
-        deeper = np.stack([self._square(each) for each in weights[1:]])
-        rows = np.zeros((len(biases), self.padded), np.float32)
-        for row, bias in zip(rows, biases, strict=True):
-            row[: len(bias)] = bias.numpy()
-        scales = np.zeros((2, self.padded), np.float32)
-        if norm is not None:
-            scales[:, : self.width] = torch.stack([norm.weight.detach(), norm.bias.detach()]).numpy()
-        share = np.array([1 / self.width, 0.0 if norm is None else norm.eps], np.float32)
-        return Weights(first, deeper, rows, scales, share)
+    @functools.cached_property
+    def turned(self) -> TurnedArrays:
+        """The weights for the way back."""
+        return self.layout.turned(self._flat)
 
     def __call__(
         self, node: Tensor, edge: Tensor, edges: SortedEdges, exchange: Callable[[Tensor], None] | None = None
@@ -115,49 +106,91 @@ class PackedNetwork:
             edges: sorted by receiver.
             exchange: as of `Network`.
         """
-        number, layers, width = len(node), len(self.messages), self.padded
+        states = self.states(len(node), len(edge), keep=False)
+        output = self.passed(node, edge, edges, states, exchange)
+        if states.memory.nbytes <= SPARE_BYTES:
+            self._spare.append(states.memory)
+        return output
+
+    def states(self, nodes: int, edges: int, *, keep: bool) -> States:
+        """Return the arrays of a pass.
+
+        Args:
+            nodes: N.
+            edges: E.
+            keep: every layer has arrays of its own; else all have the same, whose memory may be used again.
+        """
+        layers, width = self.layout.layers, self.layout.padded
+        sets = layers if keep else 1
+        edge_sets = min(max(layers - 1, 0), 1 if self.static_edges else sets)
+        node_rows, edge_rows = (3 * sets + sets + keep) * (nodes + ROWS), edge_sets * (edges + ROWS)
+        memory = np.empty((node_rows + edge_rows, width), np.float32) if keep else self._memory(node_rows + edge_rows)
+        of_nodes = memory[:node_rows].reshape(-1, nodes + ROWS, width)
+        of_edges = memory[node_rows : node_rows + edge_rows].reshape(-1, edges + ROWS, width)
+        sending, receiving, received, node = (
+            _of_layers(of_nodes[first * sets :][: sets + keep * (first == 3)], layers + 1) for first in range(4)
+        )
+        edge = [memory[:0], *_of_layers(of_edges, layers)] if edge_sets else [memory[:0]] * (layers + 1)
+        return States(memory, node, sending, receiving, received, edge)
+
+    def passed(
+        self,
+        node: Tensor,
+        edge: Tensor,
+        edges: SortedEdges,
+        states: States,
+        exchange: Callable[[Tensor], None] | None = None,
+    ) -> Tensor:
+        """Return the decoded nodes as `__call__` does, and fill in the states."""
+        number, layers, arrays = len(node), self.layout.layers, self.arrays
         features, edge_features = (given.detach().contiguous().numpy() for given in (node, edge))
-        keeps_state = layers > 1
-        rows = 4 * (number + ROWS) + (len(edge) + ROWS) * keeps_state
-        memory = self._memory(rows)
-        states, sending, receiving, received = memory[: 4 * (number + ROWS)].reshape(4, number + ROWS, width)
-        state = memory[4 * (number + ROWS) : rows]
-        output = node.new_empty(number, self.outputs)
+        output = node.new_empty(number, self.layout.outputs)
         decoded = output.numpy()
 
         def hand(layer: int, low: int, high: int) -> None:
             if layer == layers:
-                decode(self.decoder, states, decoded, low, high)
+                decode(arrays.decoder, states.node[layer], decoded, low, high)
             else:
-                biases = self.messages[layer].biases
-                hand_on(self.ends[layer], biases, states, sending, receiving, low, high)
-                received[low:high] = 0
+                biases, ends = arrays.messages[layer].biases, (states.sending[layer], states.receiving[layer])
+                hand_on(arrays.ends[layer], biases, states.node[layer], *ends, low, high)
+                states.received[layer][low:high] = 0
 
         def encode(low: int, high: int) -> None:
-            encode_nodes(self.node_encoder, features, states, low, high)
+            encode_nodes(arrays.node_encoder, features, states.node[0], low, high)
             hand(0, low, high)
 
         def update(layer: int, hands: bool, low: int, high: int) -> None:
-            update_nodes(self.updates[layer], states, received, low, high)
+            before, received, after = states.node[layer], states.received[layer], states.node[layer + 1]
+            update_nodes(arrays.updates[layer], before, received, after, low, high)
             if hands:
                 hand(layer + 1, low, high)
 
         edges.share_alike(encode)
-        for layer, message in enumerate(self.messages):
+        for layer, message in enumerate(arrays.messages):
             last, encodes = layer + 1 == layers, layer == 0
-            keeps = keeps_state and (encodes or not (last or self.static_edges))
+            keeps = not last and (encodes or not self.static_edges)
+            of_edges = (
+                edge_features,
+                states.edge[layer],
+                states.edge[layer + 1],
+                edges.sender.numpy(),
+                edges.start.numpy(),
+            )
+            ends = (states.sending[layer], states.receiving[layer], states.received[layer])
             settings = (encodes, keeps, not self.static_edges)
-            arrays = (edge_features, state, edges.sender.numpy(), edges.start.numpy(), sending, receiving, received)
-            edges.share_alike(pass_messages, self.edge_encoder, message, *arrays, *settings)
+            edges.share_alike(pass_messages, arrays.edge_encoder, message, *of_edges, *ends, *settings)
             edges.share_alike(update, layer, exchange is None or last)
             if exchange is not None and not last:
-                exchange(torch.from_numpy(states)[:number, : self.width])
+                exchange(torch.from_numpy(states.node[layer + 1])[:number, : self.layout.width])
                 edges.share_alike(hand, layer + 1)
-        if memory.nbytes <= SPARE_BYTES:
-            self._spare.append(memory)
         return output
 
     def _memory(self, rows: int) -> Array:
         """Return rows of states, those of an earlier pass if these are enough: new memory costs time to touch."""
-        memory = self._spare.pop() if self._spare else np.zeros((0, self.padded), np.float32)
-        return memory if len(memory) >= rows else np.zeros((int(ROOM * rows), self.padded), np.float32)
+        memory = self._spare.pop() if self._spare else np.zeros((0, self.layout.padded), np.float32)
+        return memory if len(memory) >= rows else np.zeros((int(ROOM * rows), self.layout.padded), np.float32)
+
+
+def _of_layers(arrays: Array, layers: int) -> list[Array]:
+    """Return an array for each of so many layers; the last one serves all that are left."""
+    return [arrays[min(layer, len(arrays) - 1)] for layer in range(layers)] if len(arrays) else []

@@ -17,7 +17,7 @@ class Weights(NamedTuple):
     """A multilayer perceptron's weights; W is the states' width L padded to a multiple of `LANES`, with zeros.
 
     Attributes:
-        first: of the first layer [F, W].
+        first: of the first layer [F, W], F padded to a multiple of `BAND`.
         deeper: of those behind it [D, W, W].
         biases: of all [1 + D, W].
         norm: weight and bias [2, W]; the mean that it subtracts is taken off the layer before it.
@@ -31,13 +31,26 @@ class Weights(NamedTuple):
     share: Array
 
 
+class Turned(NamedTuple):
+    """A multilayer perceptron's weights for the way back: its matrices transposed.
+
+    Attributes:
+        first: of every part of the input [parts, W, W]; of features [1, W, F'], F' a multiple of `LANES`.
+        deeper: [D, W, W].
+    """
+
+    first: Array
+    deeper: Array
+
+
 @compiled
-def _tile() -> Array:
+def zero_tile() -> Array:
+    """Return a tile of zeros."""
     return np.zeros(ROWS * STRIDE, np.float32)
 
 
 @compiled
-def _fill(tile: Array, bias: Array, row: int) -> None:
+def fill(tile: Array, bias: Array, row: int) -> None:
     """Put a row of biases into every row of a tile."""
     width = bias.shape[1]
     for c in range(0, width, LANES):
@@ -47,7 +60,7 @@ def _fill(tile: Array, bias: Array, row: int) -> None:
 
 
 @compiled
-def _copy(tile: Array, rows: Array, begin: int) -> None:
+def copy(tile: Array, rows: Array, begin: int) -> None:
     """Put rows of an array, which has `ROWS` more than are needed, into a tile."""
     width = rows.shape[1]
     for r in range(ROWS):
@@ -56,7 +69,7 @@ def _copy(tile: Array, rows: Array, begin: int) -> None:
 
 
 @compiled
-def _product(into: Array, tile: Array, weight: Array, begin: int, depth: int, width: int) -> None:
+def product(into: Array, tile: Array, weight: Array, begin: int, depth: int, width: int) -> None:
     """Add the product of a tile with a matrix, which begins at `begin`."""
     for c in range(0, width, LANES):
         add_product(into, tile, c, weight, begin, width, depth)
@@ -71,14 +84,14 @@ def _rest(mlp: Weights, hidden: Array, other: Array) -> Any:
         for r in range(ROWS):
             for c in range(0, width, LANES):
                 store(hidden, r * STRIDE + c, rectify(load(hidden, r * STRIDE + c)))
-        _fill(other, mlp.biases, d + 1)
-        _product(other, hidden, deeper, d * width * width, width, width)
+        fill(other, mlp.biases, d + 1)
+        product(other, hidden, deeper, d * width * width, width, width)
         hidden, other = other, hidden
     return hidden, other
 
 
 @compiled
-def _scale(mlp: Weights, tile: Array, r: int) -> Any:
+def scale_of(mlp: Weights, tile: Array, r: int) -> Any:
     """Return 1 / deviation of a tile's row, whose mean is zero."""
     square = repeat(np.float32(0))
     for c in range(0, mlp.norm.shape[1], LANES):
@@ -88,7 +101,7 @@ def _scale(mlp: Weights, tile: Array, r: int) -> Any:
 
 
 @compiled
-def _normal(mlp: Weights, tile: Array, r: int, c: int, scale: Any) -> Any:
+def normal_form(mlp: Weights, tile: Array, r: int, c: int, scale: Any) -> Any:
     """Return sixteen numbers of a tile's row behind the norm."""
     return load(tile, r * STRIDE + c) * scale * load(mlp.norm, c) + load(mlp.norm, mlp.norm.shape[1] + c)
 
@@ -96,37 +109,37 @@ def _normal(mlp: Weights, tile: Array, r: int, c: int, scale: Any) -> Any:
 @compiled
 def encode_nodes(mlp: Weights, feature: Array, node: Array, low: int, high: int) -> None:
     """Encode node features [N, F] into states [N + ROWS, W]."""
-    inputs, width = mlp.first.shape
-    hidden, other, rows = _tile(), _tile(), _tile()
+    inputs, width = feature.shape[1], mlp.first.shape[1]
+    hidden, other, rows = zero_tile(), zero_tile(), zero_tile()
     for begin in range(low, high, ROWS):
         count = min(ROWS, high - begin)
         for r in range(count):
             for c in range(inputs):
                 rows[r * STRIDE + c] = feature[begin + r, c]
-        _fill(hidden, mlp.biases, 0)
-        _product(hidden, rows, mlp.first, 0, inputs, width)
+        fill(hidden, mlp.biases, 0)
+        product(hidden, rows, mlp.first, 0, inputs, width)
         hidden, other = _rest(mlp, hidden, other)
         for r in range(count):
-            scale = _scale(mlp, hidden, r)
+            scale = scale_of(mlp, hidden, r)
             for c in range(0, width, LANES):
-                store(node, (begin + r) * width + c, _normal(mlp, hidden, r, c, scale))
+                store(node, (begin + r) * width + c, normal_form(mlp, hidden, r, c, scale))
 
 
 @compiled
 def hand_on(ends: Array, biases: Array, node: Array, sending: Array, receiving: Array, low: int, high: int) -> None:
     """Make of node states what a layer's messages need of both ends; `ends` are their weights [2, W, W]."""
     width = ends.shape[1]
-    hidden, rows = _tile(), _tile()
+    hidden, rows = zero_tile(), zero_tile()
     for begin in range(low, high, ROWS):
         count = min(ROWS, high - begin)
-        _copy(rows, node, begin)
+        copy(rows, node, begin)
         hidden[:] = 0
-        _product(hidden, rows, ends, 0, width, width)
+        product(hidden, rows, ends, 0, width, width)
         for r in range(count):
             for c in range(0, width, LANES):
                 store(sending, (begin + r) * width + c, load(hidden, r * STRIDE + c))
-        _fill(hidden, biases, 0)
-        _product(hidden, rows, ends, width * width, width, width)
+        fill(hidden, biases, 0)
+        product(hidden, rows, ends, width * width, width, width)
         for r in range(count):
             for c in range(0, width, LANES):
                 store(receiving, (begin + r) * width + c, load(hidden, r * STRIDE + c))
@@ -134,7 +147,7 @@ def hand_on(ends: Array, biases: Array, node: Array, sending: Array, receiving: 
 
 @compiled
 def pass_messages(
-    encoder: Weights, mlp: Weights, feature: Array, state: Array, sender: Any, start: Any,
+    encoder: Weights, mlp: Weights, feature: Array, state: Array, kept: Array, sender: Any, start: Any,
     sending: Array, receiving: Array, received: Array, encodes: bool, keeps: bool, updates: bool,
     low: int, high: int,
 ) -> None:  # fmt: skip
@@ -145,19 +158,20 @@ def pass_messages(
         mlp: of messages.
         feature: edge features [E, F'].
         state: edge states [E + ROWS, W].
+        kept: those for the next layer; the same array, or one of its own.
         sender: [E].
         start: first edge of every receiver [N + 1].
         sending: what messages need of their sender [N + ROWS, W].
         receiving: and of their receiver.
         received: the sums.
         encodes: edge states are made of the features; else they are in `state`.
-        keeps: edge states are written to `state`.
+        keeps: edge states are written to `kept`.
         updates: they are so with the message added.
         low: first receiver.
         high: the one behind the last.
     """
-    inputs, width = encoder.first.shape
-    hidden, other, own, rows = _tile(), _tile(), _tile(), _tile()
+    inputs, width = feature.shape[1], encoder.first.shape[1]
+    hidden, other, own, rows = zero_tile(), zero_tile(), zero_tile(), zero_tile()
     ends = np.empty(ROWS, np.int64)
     receiver, last = low, start[high]
     for begin in range(start[low], last, ROWS):
@@ -166,15 +180,15 @@ def pass_messages(
             for r in range(count):
                 for c in range(inputs):
                     rows[r * STRIDE + c] = feature[begin + r, c]
-            _fill(hidden, encoder.biases, 0)
-            _product(hidden, rows, encoder.first, 0, inputs, width)
+            fill(hidden, encoder.biases, 0)
+            product(hidden, rows, encoder.first, 0, inputs, width)
             hidden, other = _rest(encoder, hidden, other)
             for r in range(count):
-                scale = _scale(encoder, hidden, r)
+                scale = scale_of(encoder, hidden, r)
                 for c in range(0, width, LANES):
-                    store(own, r * STRIDE + c, _normal(encoder, hidden, r, c, scale))
+                    store(own, r * STRIDE + c, normal_form(encoder, hidden, r, c, scale))
         else:
-            _copy(own, state, begin)
+            copy(own, state, begin)
         for r in range(count):
             while start[receiver + 1] <= begin + r:
                 receiver += 1
@@ -182,48 +196,48 @@ def pass_messages(
             ends[r] = i
             for c in range(0, width, LANES):
                 store(hidden, r * STRIDE + c, load(sending, j + c) + load(receiving, i + c))
-        _product(hidden, own, mlp.first, 0, width, width)
+        product(hidden, own, mlp.first, 0, width, width)
         hidden, other = _rest(mlp, hidden, other)
         for r in range(count):
-            scale, i = _scale(mlp, hidden, r), ends[r]
+            scale, i = scale_of(mlp, hidden, r), ends[r]
             for c in range(0, width, LANES):
-                message = _normal(mlp, hidden, r, c, scale)
+                message = normal_form(mlp, hidden, r, c, scale)
                 store(received, i + c, load(received, i + c) + message)
                 if keeps:
                     edge = load(own, r * STRIDE + c)
-                    store(state, (begin + r) * width + c, edge + message if updates else edge)
+                    store(kept, (begin + r) * width + c, edge + message if updates else edge)
 
 
 @compiled
-def update_nodes(mlp: Weights, node: Array, received: Array, low: int, high: int) -> None:
-    """Update node states by what they received."""
+def update_nodes(mlp: Weights, node: Array, received: Array, updated: Array, low: int, high: int) -> None:
+    """Update node states by what they received, in place or into an array of their own."""
     width = mlp.first.shape[1]
-    hidden, other, rows = _tile(), _tile(), _tile()
+    hidden, other, rows = zero_tile(), zero_tile(), zero_tile()
     for begin in range(low, high, ROWS):
         count = min(ROWS, high - begin)
-        _fill(hidden, mlp.biases, 0)
-        _copy(rows, received, begin)
-        _product(hidden, rows, mlp.first, 0, width, width)
-        _copy(rows, node, begin)
-        _product(hidden, rows, mlp.first, width * width, width, width)
+        fill(hidden, mlp.biases, 0)
+        copy(rows, received, begin)
+        product(hidden, rows, mlp.first, 0, width, width)
+        copy(rows, node, begin)
+        product(hidden, rows, mlp.first, width * width, width, width)
         hidden, other = _rest(mlp, hidden, other)
         for r in range(count):
-            scale = _scale(mlp, hidden, r)
+            scale = scale_of(mlp, hidden, r)
             for c in range(0, width, LANES):
                 place = (begin + r) * width + c
-                store(node, place, load(node, place) + _normal(mlp, hidden, r, c, scale))
+                store(updated, place, load(node, place) + normal_form(mlp, hidden, r, c, scale))
 
 
 @compiled
 def decode(mlp: Weights, node: Array, output: Array, low: int, high: int) -> None:
     """Decode node states into outputs [N, O]."""
     width = mlp.first.shape[1]
-    hidden, other, rows = _tile(), _tile(), _tile()
+    hidden, other, rows = zero_tile(), zero_tile(), zero_tile()
     for begin in range(low, high, ROWS):
         count = min(ROWS, high - begin)
-        _copy(rows, node, begin)
-        _fill(hidden, mlp.biases, 0)
-        _product(hidden, rows, mlp.first, 0, width, width)
+        copy(rows, node, begin)
+        fill(hidden, mlp.biases, 0)
+        product(hidden, rows, mlp.first, 0, width, width)
         hidden, other = _rest(mlp, hidden, other)
         for r in range(count):
             for c in range(output.shape[1]):

@@ -167,16 +167,15 @@ def spread(edge_index: Any, moving: Any) -> Any:
 
 
 @compile_function
-def passed(edge_index: Any, edge: Any, reached: Any) -> Any:
-    """Return the edges to particles that are reached, with their features, and all nodes that these edges need.
+def passed(edge_index: Any, reached: Any) -> Any:
+    """Return the edges to particles that are reached, and all nodes that these edges need.
 
     Args:
         edge_index: [2, E].
-        edge: [E, F].
         reached: [N] bool.
 
     Returns:
-        Edges between the nodes' places [2, e], their features [e, F], and the nodes, ascending [n].
+        Edges between the nodes' places [2, e], which of all edges they are [e], and the nodes, ascending [n].
     """
     visible, count = reached.copy(), 0
     for e in range(edge_index.shape[1]):
@@ -184,12 +183,10 @@ def passed(edge_index: Any, edge: Any, reached: Any) -> Any:
             visible[edge_index[0, e]] = True
             count += 1
     place, nodes = np.cumsum(visible) - 1, np.nonzero(visible)[0]
-    kept, features = np.empty((2, count), np.int64), np.empty((count, edge.shape[1]), edge.dtype)
-    slot = 0
+    edges, kept, slot = np.empty((2, count), np.int64), np.empty(count, np.int64), 0
     for e in range(edge_index.shape[1]):
         if reached[edge_index[1, e]]:
-            kept[0, slot], kept[1, slot] = place[edge_index[0, e]], place[edge_index[1, e]]
-            for c in range(edge.shape[1]):
-                features[slot, c] = edge[e, c]
+            edges[0, slot], edges[1, slot] = place[edge_index[0, e]], place[edge_index[1, e]]
+            kept[slot] = e
             slot += 1
-    return kept, features, nodes
+    return edges, kept, nodes

@@ -11,7 +11,8 @@ from gns_pl.graph import context_bytes, radius_graph
 from gns_pl.machine import free_memory
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.nn import network_class
-from gns_pl.nn.packed import ROOM, padded_width
+from gns_pl.nn.packed import ROOM
+from gns_pl.nn.packed_layout import padded_width
 from gns_pl.rollout.engine import Run, history_of, static_of
 from gns_pl.rollout.stepper import Stepper
 

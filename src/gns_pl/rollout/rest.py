@@ -111,10 +111,10 @@ class SleepingStepper:
         reached = self._reached
         if bool(reached.all()):
             return self._network(node, edge, edge_index)
-        if compiles(edge):
-            edges, features, visible = map(torch.from_numpy, passed(edge_index.numpy(), edge.numpy(), reached.numpy()))
-            output = self._network(node[visible], features, edges)
-            return output.new_zeros(len(node), output.shape[1]).index_copy_(0, visible, output)
+        if compiles(edge, backward=True):
+            edges, kept, visible = map(torch.from_numpy, passed(edge_index.numpy(), reached.numpy()))
+            output = self._network(node.index_select(0, visible), edge.index_select(0, kept), edges)
+            return output.new_zeros(len(node), output.shape[1]).index_copy(0, visible, output)
         received = reached[edge_index[1]]
         edge_index, edge = edge_index[:, received], edge[received]
         visible = reached.index_fill(0, edge_index[0], True)
