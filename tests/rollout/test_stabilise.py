@@ -151,14 +151,22 @@ def test_derivatives_go_past_shifts_and_through_the_factor_that_scales(column: S
 
 
 @pytest.mark.parametrize(("sleep", "speed", "begun"), [(0.1, 0.08, 0.08), (0.1, 0.2, 0.1), (0.0, 0.08, 0.0)])
-def test_what_is_at_rest_may_begin_to_move(column: Scene, sleep: float, speed: float, begun: float) -> None:
-    """All are pushed aside on a level, and nothing falls: up to the speed that sleeps that is no energy."""
-    simulator, start = make_simulator(), make_start(column)
-    static, history = static_of(start), history_of(Run(start, 1), simulator.config)
+def test_what_begins_from_rest_is_not_held(column: Scene, sleep: float, speed: float, begun: float) -> None:
+    """All are pushed aside on a level, and nothing falls: before anybody can sleep, so much motion is no energy."""
+    simulator, start = make_simulator(input_sequence_length=2), make_start(column)
     aside = torch.tensor([speed * simulator.config.dt, 0.0, 0.0])
     pushed = CallStepper(simulator, lambda history, _: history[:, -1] + aside)
     stable = stabilise(pushed, sleep=sleep, energy_limiter=True)
-    for scenes, places in ((static, history), (static.to("cpu"), history.double())):  # compiled, and torch's
-        moved = (stable(places, scenes) - places[:, -1]) / simulator.config.dt
+    history = history_of(Run(start, 1), simulator.config, frames=stable.history_length)
+    for places in (history, history.double()):  # compiled, and torch's
+        moved = (stable(places, static_of(start)) - places[:, -1]) / simulator.config.dt
         wanted = torch.tensor([begun, 0.0, 0.0]).to(moved)
         torch.testing.assert_close(moved.mean(dim=0), wanted, atol=3e-3, rtol=0)  # what rounding is allowed
+    if sleep:  # later, what was at rest is held
+        later = history[:, -1:].repeat(1, stable.history_length, 1)
+        later[: len(later) // 2, -2] -= 2 * sleep * simulator.config.dt * torch.tensor([1.0, 0.0, 0.0])  # wakes all
+        faster = CallStepper(simulator, lambda history, _: history[:, -1] + 100 * aside)
+        made = stabilise(faster, sleep=sleep, energy_limiter=True)(later, static_of(start))
+        motion = ((made - later[:, -1]) / simulator.config.dt).square().sum(1).mean()
+        before = ((later[:, -1] - later[:, -2]) / simulator.config.dt).square().sum(1).mean()
+        assert motion <= 1.05 * before

@@ -48,8 +48,8 @@ def stabilise(
         sleep: particles slower than this for some steps, their neighbours too, stay where they are (`rest`) [m/s].
         min_distance: particles nearer than so many spacings are moved apart after the step; 0: they are not.
         energy_limiter: a step that raises the energy of motion and height has its velocities scaled down, all of a
-            scene's by one factor, until it does not. Motion slower than `sleep`, as root of the mean square, is free:
-            what begins from rest would be held by an error as small as that in every step, and never begin.
+            scene's by one factor, until it does not. Before anything can sleep, motion slower than that, as root of the
+            mean square, is free: what begins would be held by an error as small as that in every step, and never begin.
 
     Raises:
         InputError: a negative limit, or distances that no filling keeps.
@@ -101,7 +101,7 @@ class StableStepper:
         min_distance: as of `stabilise`.
         energy_limiter: as of `stabilise`.
         found: the pairs that the steps find.
-        slow: speed of a scene, root of the mean square, up to which its energy is not limited [m/s].
+        slow: root of the mean square speed up to which the energy of a run that begins is not limited [m/s].
     """
 
     def __init__(
@@ -178,18 +178,20 @@ class StableStepper:
         kinematic particles move they do work, and nothing is scaled.
         """
         frames = (history[:, -2], history[:, -1], position)
+        begins = bool(history[:, 0].isnan().any())  # what was not made yet (`rest.SleepingStepper`)
+        slow = self._slow if begins else 0.0
         if compiles(*frames, scenes.volume, scenes.gravity, scenes.lower):
             tensors = (*frames, scenes.volume, scenes.moved, scenes.batch, scenes.gravity, scenes.lower, scenes.upper)
-            scales = slowing(self.config.dt, ROUNDING, self._slow, *(tensor.numpy() for tensor in tensors))
+            scales = slowing(self.config.dt, ROUNDING, slow, *(tensor.numpy() for tensor in tensors))
             return scenes.of_particles(torch.from_numpy(scales)[:, None]) if (scales < 1).any() else None
-        quadratic, linear, height, past, pushed, motion, slow = self._energies(frames, scenes).unbind(1)
-        allowed = (past + height) * (1 + ROUNDING) - height + (slow - motion).clamp_min(0)
+        quadratic, linear, height, past, pushed, motion, free = self._energies(frames, scenes, slow).unbind(1)
+        allowed = (past + height) * (1 + ROUNDING) - height + (free - motion).clamp_min(0)
         root = (linear.square() + 4 * quadratic * allowed).clamp_min(0).sqrt()
         factor = ((root - linear) / (2 * quadratic).clamp_min(1e-30)).clamp(0, 1)
         factor = torch.where((pushed > 0) | (quadratic + linear <= allowed), 1.0, factor)
         return scenes.of_particles(factor[:, None])
 
-    def _energies(self, frames: tuple[Tensor, Tensor, Tensor], scenes: SceneBatch) -> Tensor:
+    def _energies(self, frames: tuple[Tensor, Tensor, Tensor], scenes: SceneBatch, slow: float) -> Tensor:
         """Return of every scene, in double precision, what its energy is made of [B, 7].
 
         Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it;
@@ -199,6 +201,7 @@ class StableStepper:
         Args:
             frames: positions two steps ago, one step ago and now, each [N, D] [m].
             scenes: those that are stepped.
+            slow: motion that is free, per mass [m²/s²].
         """
         dt, volume, gravity = self.config.dt, scenes.volume, scenes.gravity
         lowest = torch.where(gravity > 0, scenes.upper, scenes.lower)
@@ -213,7 +216,7 @@ class StableStepper:
             motion / 2 + (gravity * past).sum(1) * dt / 2,
             motion * ~scenes.moved,
             motion / 2,
-            torch.full_like(motion, self._slow),
+            torch.full_like(motion, slow),
         ]
         weighed = (volume[:, None] * torch.stack(values, dim=1)).double()
         return weighed.new_zeros(scenes.num_graphs, len(values)).index_add_(0, scenes.batch, weighed)
