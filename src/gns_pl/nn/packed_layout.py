@@ -112,7 +112,7 @@ class Layout:
         given = [weight.detach() for weight in weights]
         for k in self._before_norms:
             given[k] = given[k] - given[k].mean(dim=0)
-        flat: Array = torch.cat([torch.zeros(1), *[weight.reshape(-1) for weight in given]]).numpy()[self.source]
+        flat: Array = torch.cat([given[0].new_zeros(1), *[weight.reshape(-1) for weight in given]]).numpy()[self.source]
         return flat
 
     def cut(self, flat: NDArray[Any]) -> Arrays:
