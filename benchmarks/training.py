@@ -1,7 +1,7 @@
 """Windows per second of a training step, and where its time goes, beside a plain reference loop in the same run.
 
     python benchmarks/training.py                                              # the quickstart's settings
-    python benchmarks/training.py +experiment=cube106 training.batch_size=1    # any overrides of conf/train.yaml
+    python benchmarks/training.py +experiment=cube106_paper training.batch_size=1    # any overrides of conf/train.yaml
     python benchmarks/training.py --blocks 3 --steps 5 --threads 1 …
     python benchmarks/training.py --processes 2 …   # and train.py with the threads shared among two processes
 
