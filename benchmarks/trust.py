@@ -5,7 +5,8 @@
     python benchmarks/trust.py --from-table                                              # judge docs/trust.csv again
 
 Every scene in plane strain is run by MPM on cells of 1/48 m (kept), by the checkpoint, by the members and from other
-placements, all from points of the reference's first frame, as `evaluate.py` does. What could be chosen was chosen on
+placements, all stabilised, from points of the reference's first frame, as `evaluate.py` does; runouts and heights are
+compared with those of all points of MPM. What could be chosen was chosen on
 scenes of even numbers; figures that count are those of odd ones. `--add` writes a checkpoint again with what its
 network saw in training.
 """
@@ -28,6 +29,7 @@ from gns_pl.metrics.curves import compute_curves, cut
 from gns_pl.metrics.measures import particle_spacing
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint
 from gns_pl.rollout import rollout
+from gns_pl.rollout.policy import Policy
 from gns_pl.scene import Body, Material, Scene, Wall
 from gns_pl.scene.extent import characteristic_time
 from gns_pl.solvers.ood import compute_ood
@@ -196,11 +198,12 @@ def judge(number: int, trial: Trial, checkpoint: Checkpoint, members: list[Check
     whole = reference_trajectory(scene, mpm, frame_interval=interval, seed=0, cache_directory=cache, progress=False)
     fine = thin_trajectory(whole, mpm, 0, every, [(every - 1) // 2] * 2)
     start, steps = cut(fine, 1), fine.num_frames - 1
-    made, tau = rollout(checkpoint.simulator, start, steps), characteristic_time(scene)
+    own, *further = [Policy().stepper(each) for each in (checkpoint, *members)]
+    made, tau = rollout(own, start, steps), characteristic_time(scene)
     seen = compute_ood(checkpoint, made)
     if seen is None:
         raise SystemExit("this checkpoint does not say what it saw; see --add")
-    ours, theirs = compute_curves(made), compute_curves(fine)
+    ours, theirs = compute_curves(made), compute_curves(whole)
     reference, shown = theirs["runout_99"], len(ours["runout_99"])
     scale, failed = max(abs(float(reference[-1])), 0.5), shown <= steps
     distance = made.position.astype(np.float64) - fine.position[:shown]
@@ -214,7 +217,7 @@ def judge(number: int, trial: Trial, checkpoint: Checkpoint, members: list[Check
 
     early = seen.time <= tau + 1e-9
     others = [cut(thin_trajectory(whole, mpm, 0, every, offset), 1) for offset in OFFSETS]
-    duration, own = steps * interval, checkpoint.simulator
+    duration = steps * interval
     return Row(
         scene=scene.name, group=trial.group, number=number, particles=made.num_particles,
         runout=float(ours["runout_99"][-1]), reference=float(reference[-1]),
@@ -223,7 +226,7 @@ def judge(number: int, trial: Trial, checkpoint: Checkpoint, members: list[Check
         position_error=error(float(away[-1])),
         start=float(seen.mean[0]), early=seen.early_score(tau), far=float(seen.far[early].max()),
         share=float(seen.share[early].max()), scene_beyond=int(bool(seen.reasons)),
-        members=ensemble_bands([own, *(each.simulator for each in members)], [start], duration=duration).width / scale,
+        members=ensemble_bands([own, *further], [start], duration=duration).width / scale,
         placements=ensemble_bands([own], [start, *others], duration=duration).width / scale,
         left=math.nan if seen.exit_time is None else seen.exit_time / tau,
         wrong=first(np.abs(ours["runout_99"] - reference[:shown]) / scale > 0.1), lost=first(away > 2),

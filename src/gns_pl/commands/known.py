@@ -77,7 +77,7 @@ SEVERAL = (
     "ckpt",
     "scene",
     "sets",
-    *(f"evaluation.{name}" for name in ("scenes", "only", "stress.only", "stress.axes")),
+    *(f"evaluation.{name}" for name in ("scenes", "only", "start", "stress.only", "stress.axes")),
 )
 KINDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(NUMBERS, ("number",)),
@@ -85,6 +85,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(SEVERAL, ("text", "list")),
     **dict.fromkeys(("lower", "upper", "evaluation.stress.shown", "model.material_features"), ("list",)),
     **dict.fromkeys(("name", "description", "gravity_axis"), ("text", "number")),
+    "model.network": ("text", "mapping"),
     "threads": ("number", "list"),
     "types": ("mapping",),
 }
