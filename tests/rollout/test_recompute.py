@@ -65,7 +65,7 @@ def test_where_all_sleep_the_network_is_left_out(column: Scene, monkeypatch: pyt
     frames = differentiable_rollout(
         simulator, position, torch.zeros_like(position), static_of(start), 9, stabilised={"sleep": 1e6}
     )
-    unknown = REST_STEPS + 1 - simulator.history_length
+    unknown = REST_STEPS - 1
     assert len(evaluated) == unknown > 0
     assert torch.equal(frames[unknown], frames[-1])
     frames[-1].sum().backward()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -10,11 +12,13 @@ from gns_pl.errors import InputError
 from gns_pl.models.simulator import Simulator
 from gns_pl.rollout import Run, rollout, unroll
 from gns_pl.rollout.engine import history_of, static_of
+from gns_pl.rollout.policy import Policy
 from gns_pl.rollout.rest import REST_STEPS, Rest, SleepingStepper
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import FACES, Scene, Wall, column_collapse
 from gns_pl.trajectory import Trajectory
 from tests.conftest import SAND, CallStepper, make_simulator, make_start
+from tests.rollout.test_loops import without_loops
 
 
 def long_column() -> Scene:
@@ -29,7 +33,7 @@ def test_nobody_sleeps_at_once_and_while_all_move_the_steps_are_the_same(column:
     simulator, start = make_simulator(output="gated", context=True), make_start(column)
     plain = rollout(simulator, start, 8).position
     sleeping = SleepingStepper(simulator, speed=1e-9)
-    assert sleeping.history_length == REST_STEPS + 1
+    assert sleeping.history_length == simulator.history_length + REST_STEPS - 1
     np.testing.assert_array_equal(rollout(sleeping, start, 8).position, plain)
     assert bool(sleeping.awake.all())
 
@@ -126,12 +130,47 @@ def test_a_run_that_goes_on_sleeps_as_the_one_that_never_stopped(column: Scene) 
     np.testing.assert_array_equal(np.stack(late), whole[10:])
 
 
-def test_unknown_positions_before_the_start_are_motion(column: Scene) -> None:
-    simulator, start = make_simulator(), make_start(column)
-    history = history_of(Run(start, 1), simulator.config, REST_STEPS + 1)
-    assert history.shape[1] == REST_STEPS + 1
-    assert bool(history[:, : REST_STEPS + 1 - simulator.config.input_sequence_length].isnan().all())
+@pytest.mark.parametrize("frames", [2, 6])
+def test_unknown_positions_before_the_start_are_motion(column: Scene, frames: int) -> None:
+    simulator, start = make_simulator(input_sequence_length=frames), make_start(column)
     step = SleepingStepper(simulator, speed=1e6)
+    history = history_of(Run(start, 1), simulator.config, step.history_length)
+    assert history.shape[1] == frames + REST_STEPS - 1
+    assert bool(history[:, : REST_STEPS - 1].isnan().all()) and bool(history[:, REST_STEPS - 1 :].isfinite().all())
     with torch.inference_mode():
-        step(history, static_of(start))
-    assert bool(step.awake.all())
+        for places in (history, history.double()):  # compiled, and torch's
+            step(places, static_of(start).in_precision(places.dtype))
+            assert bool(step.awake.all())
+            simulator.double()
+
+
+@pytest.mark.parametrize("loops", [True, False])
+@pytest.mark.parametrize("frames", [2, 6])
+def test_a_layer_at_rest_falls_and_sleeps_on_the_floor_however_long_the_history(
+    drop: Scene, frames: int, loops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under the policy, with a network that leaves all to gravity: x_n = x_0 + g Δt² n (n + 1) / 2, then the floor."""
+    if not loops:
+        without_loops(monkeypatch)
+    simulator = make_simulator(input_sequence_length=frames)
+    for weights in simulator.network.decoder[-1].parameters():
+        torch.nn.init.zeros_(weights)
+    body = replace(drop.bodies[0], size=(0.3, 0.3, 0.05), position=(0.3, 0.2, 0.1), velocity=(0.0, 0.0, 0.0))
+    start, policy = make_start(drop.replace(bodies=(body,))), Policy()
+    stable = stabilise(simulator, **policy.stabilise)
+    whole = rollout(stable, start, 40, rest=policy.rest())
+    fall = -9.81 * 0.01**2 * np.arange(18) * np.arange(1, 19) / 2
+    expected = np.maximum(start.position[0, :, 2] + fall[:, None], 0)
+    np.testing.assert_allclose(whole.position[:18, :, 2], expected, atol=1e-5, rtol=0)
+    landed = int((expected[:, 0] > 0).sum())
+    assert whole.provenance["at_rest_from"] == pytest.approx((landed + REST_STEPS) * 0.01)
+    for steps, awake in ((landed + REST_STEPS, True), (landed + REST_STEPS + 1, False)):
+        sleeping = SleepingStepper(simulator, speed=0.1)
+        rollout(sleeping, start, steps)
+        assert bool(sleeping.awake.all()) is bool(sleeping.awake.any()) is awake
+    for made in (2, 7, landed + 3):
+        past = whole.position[: made + 1][-stable.history_length :]
+        runs = [Run(start, 40 - made, past, made), Run(start, 40)]  # beside one that begins
+        with torch.inference_mode():
+            late = [parts[0].numpy() for parts in unroll(stable, runs, rest=policy.rest()) if 0 in parts]
+        np.testing.assert_array_equal(np.stack(late)[: len(whole.position) - made - 1], whole.position[made + 1 :])

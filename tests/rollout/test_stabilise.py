@@ -170,3 +170,6 @@ def test_what_begins_from_rest_is_not_held(column: Scene, sleep: float, speed: f
         motion = ((made - later[:, -1]) / simulator.config.dt).square().sum(1).mean()
         before = ((later[:, -1] - later[:, -2]) / simulator.config.dt).square().sum(1).mean()
         assert motion <= 1.05 * before
+        scenes = static_of(start, start)  # each on its own beside one that begins
+        beside = stabilise(faster, sleep=sleep, energy_limiter=True)(torch.cat([later, history]), scenes)
+        torch.testing.assert_close(beside[: len(made)], made, atol=0, rtol=0)

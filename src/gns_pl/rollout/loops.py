@@ -83,7 +83,7 @@ def move_apart(
 
 @compile_function
 def slowing(
-    dt: float, rounding: float, slow: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any,
+    dt: float, rounding: float, slow: Any, earlier: Any, before: Any, position: Any, volume: Any, moved: Any,
     batch: Any, gravity: Any, lower: Any, upper: Any,
 ) -> Any:  # fmt: skip
     """Return of every scene by what `StableStepper` scales its velocities [B]; 1, or NaN: by nothing.
@@ -91,7 +91,7 @@ def slowing(
     Args:
         dt: time of the step [s].
         rounding: share by which the energy may rise.
-        slow: motion that may be there from nothing, per mass [m²/s²].
+        slow: motion of every particle that may be there from nothing, per mass [N] [m²/s²].
         earlier: positions before the step before [N, D] [m].
         before: before the step.
         position: behind it.
@@ -124,7 +124,7 @@ def slowing(
         sums[box, 3] += volume[i] * (kinetic + risen)
         sums[box, 4] += 0.0 if moved[i] else volume[i] * 2 * kinetic
         sums[box, 5] += volume[i] * kinetic
-        sums[box, 6] += volume[i] * slow
+        sums[box, 6] += volume[i] * slow[i]
     factor = np.ones(len(gravity))
     for box in range(len(gravity)):
         quadratic, linear, height, past, pushed = sums[box, 0], sums[box, 1], sums[box, 2], sums[box, 3], sums[box, 4]
@@ -137,12 +137,25 @@ def slowing(
 
 
 @compile_function
-def is_moving(history: Any, step: float) -> Any:
-    """Return which particles made a step of `step` or longer, or one that is NaN, in a history [N, H, D]: [N] bool."""
+def is_moving(history: Any, steps: int, step: float) -> Any:
+    """Return which particles made one of the latest `steps` steps of `step` or longer, or whose history has a NaN.
+
+    Args:
+        history: [N, H, D] [m].
+        steps: that count.
+        step: [m].
+
+    Returns:
+        [N] bool.
+    """
     number, length, dim = history.shape
     moving = np.zeros(number, np.bool_)
     for i in range(number):
-        for frame in range(1, length):
+        for frame in range(length - steps):
+            for axis in range(dim):
+                if np.isnan(history[i, frame, axis]):
+                    moving[i] = True
+        for frame in range(length - steps, length):
             square = np.float32(0)
             for axis in range(dim):
                 along = history[i, frame, axis] - history[i, frame - 1, axis]

@@ -67,8 +67,9 @@ class SleepingStepper:
 
     Attributes:
         awake: which particles moved in the latest step [N] bool; empty before the first.
-        history_length: positions that a step looks at; earlier ones than the simulator's are NaN before they were made,
-            and nobody sleeps then.
+        history_length: positions that a step looks at. Of the first `REST_STEPS` − 1 steps of a run the earliest ones are
+            unknown, NaN, however long the simulator's own history is, and nobody sleeps: the simulator's positions
+            before the start are made up, and those of a start from rest never move.
     """
 
     def __init__(self, stepper: Stepper, speed: float) -> None:
@@ -77,7 +78,7 @@ class SleepingStepper:
             self._search, self._network = self._open.search, self._open.network
             self._stepper = replace(self._open, search=self._find, network=self._evaluate)
         self.config, self.device, self.speed = stepper.config, stepper.device, speed
-        self.history_length = max(stepper.history_length, REST_STEPS + 1)
+        self.history_length = stepper.history_length + REST_STEPS - 1
         self.awake = self._reached = self._moving = torch.empty(0, dtype=torch.bool)
 
     def __call__(self, history: Tensor, scenes: SceneBatch) -> Tensor:
@@ -126,11 +127,10 @@ class SleepingStepper:
 
 
 def _moving(history: Tensor, step: float) -> Tensor:
-    """Return which particles made one of the latest `REST_STEPS` steps at `step` [m] or more, or one unknown [N]."""
+    """Return which particles made one of the latest `REST_STEPS` steps at `step` [m] or more, or are not known [N]."""
     if history.shape[1] <= REST_STEPS:
         return torch.ones(len(history), dtype=torch.bool, device=history.device)
-    recent = history[:, -REST_STEPS - 1 :]
-    if compiles(recent):
-        return torch.from_numpy(is_moving(recent.numpy(), step))
-    slow = recent.diff(dim=1).square().sum(dim=2) < step**2  # false where it is NaN
-    return ~slow.all(dim=1)
+    if compiles(history):
+        return torch.from_numpy(is_moving(history.numpy(), REST_STEPS, step))
+    slow = history[:, -REST_STEPS - 1 :].diff(dim=1).square().sum(dim=2) < step**2
+    return ~slow.all(dim=1) | history.isnan().any(dim=2).any(dim=1)

@@ -178,11 +178,11 @@ class StableStepper:
         kinematic particles move they do work, and nothing is scaled.
         """
         frames = (history[:, -2], history[:, -1], position)
-        begins = bool(history[:, 0].isnan().any())  # what was not made yet (`rest.SleepingStepper`)
-        slow = self._slow if begins else 0.0
+        slow = self._slow * history[:, 0, 0].isnan().double()  # of scenes that begin (`rest.SleepingStepper`)
         if compiles(*frames, scenes.volume, scenes.gravity, scenes.lower):
-            tensors = (*frames, scenes.volume, scenes.moved, scenes.batch, scenes.gravity, scenes.lower, scenes.upper)
-            scales = slowing(self.config.dt, ROUNDING, slow, *(tensor.numpy() for tensor in tensors))
+            boxes = (scenes.gravity, scenes.lower, scenes.upper)
+            tensors = (slow, *frames, scenes.volume, scenes.moved, scenes.batch, *boxes)
+            scales = slowing(self.config.dt, ROUNDING, *(tensor.numpy() for tensor in tensors))
             return scenes.of_particles(torch.from_numpy(scales)[:, None]) if (scales < 1).any() else None
         quadratic, linear, height, past, pushed, motion, free = self._energies(frames, scenes, slow).unbind(1)
         allowed = (past + height) * (1 + ROUNDING) - height + (free - motion).clamp_min(0)
@@ -191,7 +191,7 @@ class StableStepper:
         factor = torch.where((pushed > 0) | (quadratic + linear <= allowed), 1.0, factor)
         return scenes.of_particles(factor[:, None])
 
-    def _energies(self, frames: tuple[Tensor, Tensor, Tensor], scenes: SceneBatch, slow: float) -> Tensor:
+    def _energies(self, frames: tuple[Tensor, Tensor, Tensor], scenes: SceneBatch, slow: Tensor) -> Tensor:
         """Return of every scene, in double precision, what its energy is made of [B, 7].
 
         Energy of motion behind the step; what height adds in its middle, with the opposite sign; height before it;
@@ -201,7 +201,7 @@ class StableStepper:
         Args:
             frames: positions two steps ago, one step ago and now, each [N, D] [m].
             scenes: those that are stepped.
-            slow: motion that is free, per mass [m²/s²].
+            slow: motion of every particle that is free, per mass [N] [m²/s²].
         """
         dt, volume, gravity = self.config.dt, scenes.volume, scenes.gravity
         lowest = torch.where(gravity > 0, scenes.upper, scenes.lower)
@@ -216,7 +216,7 @@ class StableStepper:
             motion / 2 + (gravity * past).sum(1) * dt / 2,
             motion * ~scenes.moved,
             motion / 2,
-            torch.full_like(motion, slow),
+            slow.to(motion),
         ]
         weighed = (volume[:, None] * torch.stack(values, dim=1)).double()
         return weighed.new_zeros(scenes.num_graphs, len(values)).index_add_(0, scenes.batch, weighed)
