@@ -67,9 +67,9 @@ class SleepingStepper:
 
     Attributes:
         awake: which particles moved in the latest step [N] bool; empty before the first.
-        history_length: positions that a step looks at. Of the first `REST_STEPS` − 1 steps of a run the earliest ones are
-            unknown, NaN, however long the simulator's own history is, and nobody sleeps: the simulator's positions
-            before the start are made up, and those of a start from rest never move.
+        history_length: positions that a step looks at. In the first `REST_STEPS` − 1 steps of a run the earliest of
+            them are NaN, and nobody sleeps, however long the simulator's own history is: its positions before the
+            start are made up, and those of a start from rest never move.
     """
 
     def __init__(self, stepper: Stepper, speed: float) -> None:
