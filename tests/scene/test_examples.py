@@ -14,7 +14,8 @@ FILES = sorted((Path(__file__).parents[2] / "scenes").glob("*.yaml"))
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_it_can_be_read_and_filled(path: Path) -> None:
     scene = read_scene(path)
-    assert len(fill_scene(scene, 1 / 24).position) > 100
+    spacing = 1 / 24 if scene.terrain is None else scene.terrain.cell / 4
+    assert len(fill_scene(scene, spacing).position) > 100
 
 
 def test_there_are_some() -> None:

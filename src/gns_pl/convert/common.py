@@ -102,6 +102,8 @@ class Common:
                 f"its scene has {len(scene.obstacles)} obstacles, and {self.what} has no place for them, so that "
                 f"particles would bounce off nothing; {APART}, those without obstacles"
             )
+        if scene.terrain is not None:
+            raise InputError(f"its scene has a terrain, and {self.what} has no place for it; {APART}, those without")
         if self.most_features is not None:
             if num_features > self.most_features:
                 raise InputError(f"has {num_features} material values, and {self.what} takes {self.most_features}.")

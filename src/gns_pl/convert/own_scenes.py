@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from gns_pl.convert.facts import Facts
+from gns_pl.errors import InputError
 from gns_pl.scene import FACES, Body, Box, Obstacle, Scene
 from gns_pl.scene.origin import without_origin
 
@@ -25,6 +26,8 @@ def carried_scene(scene: Scene, facts: Facts) -> Scene:
     """
     if facts.scale == 1 and list(facts.axes) == sorted(facts.axes) and not any(facts.origin):
         return scene.replace(lower=facts.lower, upper=facts.upper, gravity=facts.gravity)
+    if scene.terrain is not None:
+        raise InputError("its scene has a terrain, which keeps its unit of length, its axes and its origin.")
     return scene.replace(
         lower=facts.lower,
         upper=facts.upper,

@@ -20,6 +20,7 @@ from gns_pl.data.survey_record import MOVING_SHARE, SPEED_AT_REST
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_trajectory, read_window
+from gns_pl.scene.terrain import refused_terrain
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 
@@ -74,6 +75,8 @@ class WindowDataset(Dataset[Data]):
                 raise InputError(f"{path}: has {num_frames} frames; a window needs at least {self.behind + 1}.")
             if trajectory.scene.obstacles:
                 raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
+            if trajectory.scene.terrain is not None:
+                raise InputError(refused_terrain(f"{path}: its scene", "a learned simulator"))
             repeats = np.ones(num_frames - 1, dtype=int)
             if start_repeats > 1 or moving_repeats > 1:
                 speeds = _speeds(trajectory if in_memory else read_trajectory(path))

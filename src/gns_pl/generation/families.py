@@ -20,6 +20,7 @@ from gns_pl.generation.spec import FROM_FILES, DatasetSpec, whole_number
 from gns_pl.io import SPLITS
 from gns_pl.scene import Material, Scene, Wall, part_from_dict, scene_from_dict
 from gns_pl.scene.catalogue import checked_range
+from gns_pl.scene.terrain import refused_terrain
 
 _SCENES, _SPLITS, _OFFSETS = 0, 1, 2  # which of a family's random streams
 
@@ -166,6 +167,8 @@ def _check_scene(spec: DatasetSpec, owner: str, scene: Scene) -> None:
         )
     if scene.obstacles:
         raise InputError(f"{owner}: scene {scene.name!r} has obstacles, and a learned simulator knows none yet.")
+    if scene.terrain is not None:
+        raise InputError(f"{owner}: {refused_terrain(f'scene {scene.name!r}', 'a learned simulator')}")
 
 
 def _offset(seed: int, family: str, number: int, every: int, dim: int) -> tuple[int, ...]:

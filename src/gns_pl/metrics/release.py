@@ -12,8 +12,8 @@ from gns_pl.trajectory import Trajectory
 def is_column(scene: Scene) -> bool:
     """Return whether the laws of the aspect ratio are about a scene.
 
-    It is one body at rest on the floor and at the x- wall, as wide as the box, without obstacles, under gravity that
-    acts along the last axis alone.
+    It is one body at rest on the floor and at the x- wall, as wide as the box, without obstacles and terrain, under
+    gravity that acts along the last axis alone.
     """
     [body, *others] = scene.bodies
     near = 1e-6
@@ -22,7 +22,8 @@ def is_column(scene: Scene) -> bool:
         abs(body.position[axis] - scene.lower[axis]) + abs(body.upper[axis] - scene.upper[axis]) < near
         for axis in range(1, scene.dim - 1)
     )
-    plain = not others and not scene.obstacles and not any(body.velocity) and not any(scene.gravity[:-1])
+    level = not scene.obstacles and scene.terrain is None
+    plain = not others and level and not any(body.velocity) and not any(scene.gravity[:-1])
     return plain and at_wall and spans
 
 

@@ -7,14 +7,17 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
+from gns_pl.scene.arrays import encoded_array
 from gns_pl.scene.boundaries import Obstacle, Plane, Wall, signed_distance
 from gns_pl.scene.checks import checked_number, checked_numbers
+from gns_pl.scene.raster import described
+from gns_pl.scene.terrain import Terrain
 
 AXES = {2: "xz", 3: "xyz"}
 """Names of the axes by dimension; the last one is vertical."""
@@ -87,6 +90,7 @@ class Body:
         material: name of its material in the scene.
     """
 
+    needs_terrain: ClassVar[bool] = False
     position: tuple[float, ...]
     size: tuple[float, ...]
     velocity: tuple[float, ...]
@@ -102,6 +106,20 @@ class Body:
     def upper(self) -> tuple[float, ...]:
         """Upper corner [D] [m]."""
         return tuple(p + s for p, s in zip(self.position, self.size, strict=True))
+
+    @property
+    def height(self) -> float:
+        """Vertical extent of its material [m]."""
+        return self.size[-1]
+
+    @property
+    def volume(self) -> float:
+        """Volume of its material [m³], or [m²] in two dimensions."""
+        return math.prod(self.size)
+
+    def overlaps(self, other: Body) -> bool:
+        """Tell whether its inside meets that of another body; touching faces do not count."""
+        return _overlap(self.position, self.upper, other.position, other.upper)
 
     def corners(self) -> NDArray[np.float64]:
         """Return its corners [2^D, D] [m]."""
@@ -125,6 +143,7 @@ class Scene:
         obstacles: what stands fixed in the box. Bodies may reach into them and are then carved when they are filled.
         origin: where this scene's zero lies in the coordinates it came from, as those of a map [D] [m]; zero if nothing
             is said. No computation uses it; it is added where coordinates leave (`scene.origin`).
+        terrain: the ground, a heightfield that carves bodies as obstacles do; None where the floor of the box is all.
 
     Raises:
         InputError: anything inconsistent, in one sentence.
@@ -140,6 +159,7 @@ class Scene:
     walls: Mapping[str, Wall]
     obstacles: tuple[Obstacle, ...] = ()
     origin: tuple[float, ...] = ()
+    terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name or {"/", "\\", "\0"} & set(self.name):
@@ -167,10 +187,12 @@ class Scene:
             raise InputError(f"{owner}: needs at least one body.")
         for index, obstacle in enumerate(self.obstacles):
             self._check_obstacle(f"{owner}, obstacle {index}", obstacle)
+        if self.terrain is not None:
+            self._check_terrain(owner, self.terrain)
         for index, body in enumerate(self.bodies):
             self._check_body(f"{owner}, body {index}", body)
             for other_index, other in enumerate(self.bodies[:index]):
-                if _overlap(body.position, body.upper, other.position, other.upper):
+                if body.overlaps(other) and other.overlaps(body):
                     raise InputError(f"{owner}: bodies {other_index} and {index} overlap; move one of them.")
 
     def _check_obstacle(self, owner: str, obstacle: Obstacle) -> None:
@@ -180,6 +202,24 @@ class Scene:
             raise InputError(
                 f"{owner}: it reaches from {_rounded(obstacle.position)} to {_rounded(obstacle.upper)} and is nowhere "
                 f"in the domain {_rounded(self.lower)} to {_rounded(self.upper)}."
+            )
+
+    def _check_terrain(self, owner: str, terrain: Terrain) -> None:
+        lower, upper = self.lower[:-1], self.upper[:-1]
+        if not isinstance(terrain, Terrain) or terrain.heights.ndim != self.dim - 1:
+            raise InputError(
+                f"{owner}: a terrain has heights along {self.dim - 1} axes where the domain has {self.dim}."
+            )
+        if not terrain.covers(lower, upper):
+            raise InputError(
+                f"{owner}: the domain reaches {described(lower, upper)}, and the terrain {described(*terrain.extent)}; "
+                "choose a domain on it."
+            )
+        heights = terrain.cropped(lower, upper).heights
+        if not (self.lower[-1] < heights.max() and heights.max() < self.upper[-1]):
+            raise InputError(
+                f"{owner}: the ground reaches up to {heights.max():.6g} m, which must lie between the floor at "
+                f"{self.lower[-1]:.6g} and the lid at {self.upper[-1]:.6g} m."
             )
 
     def _check_body(self, owner: str, body: Body) -> None:
@@ -200,6 +240,16 @@ class Scene:
         for index, obstacle in enumerate(self.obstacles):
             if (signed_distance(obstacle, body.corners())[0] <= 0).all():  # obstacles are convex
                 raise InputError(f"{owner}: it lies entirely inside obstacle {index}; move one of them.")
+        if self.terrain is None:
+            if body.needs_terrain:
+                raise InputError(f"{owner}: a release lies on a terrain, and the scene has none; give one, or a body.")
+        else:
+            shares = (np.indices((33,) * (self.dim - 1)).reshape(self.dim - 1, -1).T + 0.5) / 33
+            ground = self.terrain.height(np.array(body.position[:-1]) + shares * body.size[:-1])
+            if (ground >= body.upper[-1]).all():
+                raise InputError(
+                    f"{owner}: it starts inside the ground, {ground.min() - body.upper[-1]:.3g} m deep; raise it."
+                )
 
     @property
     def dim(self) -> int:
@@ -213,13 +263,16 @@ class Scene:
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as plain dicts, lists, numbers and strings; `scene_from_dict` is its inverse.
 
-        An origin of zero is left out, so that files of scenes without one are as they always were.
+        An origin of zero, and no terrain, are left out, so that files of scenes without are as they always were.
+        Heights become a string, exact to the bit (`scene.arrays`).
         """
-        listed: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)))
+        listed: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self), default=encoded_array))
         for obstacle, entry in zip(self.obstacles, listed["obstacles"], strict=True):
             entry["kind"] = obstacle.kind
         if not any(self.origin):
             del listed["origin"]
+        if self.terrain is None:
+            del listed["terrain"]
         return listed
 
 

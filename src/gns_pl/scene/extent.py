@@ -6,17 +6,21 @@ import math
 
 from gns_pl.errors import InputError
 from gns_pl.scene.definition import Body, Scene
+from gns_pl.scene.release import Release
 
 
 def initial_extent(scene: Scene) -> tuple[float, float]:
     """Return the initial length L0 along x and height H0 along the last axis of all bodies together [m].
 
-    For a column against the x = lower wall these are its edges, and H0 / L0 its aspect ratio a.
+    For a column against the x = lower wall these are its edges, and H0 / L0 its aspect ratio a. H0 of releases, which
+    follow their ground, is their largest thickness.
     """
     extent = [
         max(body.upper[axis] for body in scene.bodies) - min(body.position[axis] for body in scene.bodies)
         for axis in (0, scene.dim - 1)
     ]
+    if any(isinstance(body, Release) for body in scene.bodies):
+        extent[1] = max(body.height for body in scene.bodies)
     return extent[0], extent[1]
 
 
@@ -66,7 +70,7 @@ def own_weight_strain(scene: Scene, number: int) -> float:
     gravity, body = abs(scene.gravity[-1]), scene.bodies[number]
 
     def weight(other: Body) -> float:
-        return scene.materials[other.material].density * gravity * other.size[-1]
+        return scene.materials[other.material].density * gravity * other.height
 
     def stands_above(other: Body) -> bool:
         overlaps = all(
@@ -96,7 +100,7 @@ def compression_notice(scene: Scene) -> str | None:
     modulus = scene.materials[body.material].youngs_modulus * strain / COMPRESSION_LIMIT
     step = 10.0 ** (math.floor(math.log10(modulus)) - 1)
     return (
-        f"scene {scene.name!r}: weight alone compresses {body.material!r}, {body.size[-1]:.3g} m high, by "
+        f"scene {scene.name!r}: weight alone compresses {body.material!r}, {body.height:.3g} m high, by "
         f"{100 * strain:.2g} % of its height (ρ g H / (2 M), with what stands on it), so its heights and runouts "
         f"are off; set its youngs_modulus to {math.ceil(modulus / step - 1e-9) * step:.2g} Pa or more for "
         f"{100 * COMPRESSION_LIMIT:g} %"

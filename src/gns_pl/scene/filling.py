@@ -12,6 +12,7 @@ from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.scene.boundaries import signed_distance
 from gns_pl.scene.definition import Scene
 from gns_pl.scene.origin import check_coarseness
+from gns_pl.scene.release import Release
 
 MAX_PARTICLES = 20_000_000
 """More than this is taken for a mistyped spacing."""
@@ -51,7 +52,8 @@ def fill_scene(
 
     Each body is split into `round(size / spacing)` equal cells per axis (at least one) with a particle in the middle
     of each, so that the particles' volumes add up to the body's exactly, whatever its size. Particles that would start
-    inside an obstacle are left out; this changes none of the others.
+    inside an obstacle or the ground are left out; this changes none of the others. A release is filled in columns from
+    the ground up (`Release.columns`).
 
     Args:
         scene: what to fill.
@@ -72,32 +74,44 @@ def fill_scene(
     extent = max(map(abs, (*scene.lower, *scene.upper)))
     check_coarseness(f"scene {scene.name!r}", extent, spacing, "move it near zero: gns_pl.scene.near_origin(scene)")
     counts = [[max(1, round(size / spacing)) for size in body.size] for body in scene.bodies]
-    total = sum(int(np.prod(count, dtype=np.float64)) for count in counts)
+    total = sum(
+        round(body.volume / spacing**3) if isinstance(body, Release) else int(np.prod(count, dtype=np.float64))
+        for body, count in zip(scene.bodies, counts, strict=True)
+    )
     if total > MAX_PARTICLES:
         raise InputError(
             f"scene {scene.name!r} at a spacing of {spacing:g} m would have {total} particles; choose a larger spacing."
         )
+
+    def drawn(number: int) -> NDArray[np.float64] | float:
+        """Offsets of particles from their places in a lattice [N, D], in its cells."""
+        if not jitter or generator is None:
+            return 0.0
+        return 0.5 * jitter * generator.uniform(-1, 1, (number, scene.dim))
+
     lattices, positions, volumes = [], [], []
     for index, (body, count) in enumerate(zip(scene.bodies, counts, strict=True)):
-        cell = np.array(body.size) / np.array(count)
-        lattice = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, scene.dim)
-        offset = lattice + 0.5
-        if jitter and generator is not None:
-            offset = offset + 0.5 * jitter * generator.uniform(-1, 1, lattice.shape)
-        position = np.array(body.position) + offset * cell
+        if isinstance(body, Release) and scene.terrain is not None:
+            position, volume, lattice = body.columns(spacing, scene.terrain.height, drawn)
+        else:
+            cell = np.array(body.size) / np.array(count)
+            lattice = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, scene.dim)
+            position = np.array(body.position) + (lattice + 0.5 + drawn(len(lattice))) * cell
+            volume = np.full(len(lattice), float(np.prod(cell)))
         free = _outside_obstacles(scene, position)
         if not free.any():
+            what = "obstacles leave" if scene.terrain is None else "ground and obstacles leave"
             raise InputError(
-                f"scene {scene.name!r}, body {index}: obstacles leave nothing of it at a spacing of {spacing:g} m; "
+                f"scene {scene.name!r}, body {index}: {what} nothing of it at a spacing of {spacing:g} m; "
                 "move it, or choose a smaller spacing."
             )
         lattices.append(lattice[free])
         positions.append(position[free])
-        volumes.append(float(np.prod(cell)))
+        volumes.append(volume[free])
     body_index = np.repeat(np.arange(len(scene.bodies)), [len(position) for position in positions])
     names, materials = list(scene.materials), [scene.materials[body.material] for body in scene.bodies]
     features = [[getattr(material, name) for name in MATERIAL_FEATURES] for material in materials]
-    volume = np.array(volumes)[body_index]
+    volume = np.concatenate(volumes)
     return Particles(
         position=np.concatenate(positions),
         velocity=np.array([body.velocity for body in scene.bodies])[body_index],
@@ -112,8 +126,10 @@ def fill_scene(
 
 
 def _outside_obstacles(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of the positions [N, D] [m] lie in no obstacle [N]."""
+    """Return which of the positions [N, D] [m] lie in no obstacle and not in the ground [N]."""
     free = np.ones(len(position), dtype=bool)
+    if scene.terrain is not None:
+        free &= position[:, -1] >= scene.terrain.height(position[:, :-1])
     for obstacle in scene.obstacles:
         free &= signed_distance(obstacle, position)[0] >= 0
     return free

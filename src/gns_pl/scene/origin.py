@@ -14,7 +14,9 @@ import numpy as np
 
 from gns_pl.errors import InputError
 from gns_pl.scene.boundaries import Obstacle, Plane
-from gns_pl.scene.definition import Scene
+from gns_pl.scene.definition import Body, Scene
+from gns_pl.scene.release import Release
+from gns_pl.scene.terrain import Terrain
 
 FAR = 4.0
 """A box whose corners are farther from zero than this many of its longest edge is moved: two binary digits are lost."""
@@ -56,12 +58,20 @@ def near_origin(scene: Scene) -> Scene:
             return replace(obstacle, point=moved(obstacle.point))
         return replace(obstacle, position=moved(obstacle.position))
 
+    def moved_body(body: Body) -> Body:
+        return body.moved(moved) if isinstance(body, Release) else replace(body, position=moved(body.position))
+
+    def moved_terrain(terrain: Terrain) -> Terrain:
+        heights = np.round(terrain.heights - origin[-1], 8) if origin[-1] else terrain.heights
+        return terrain.replace(corner=without_origin(terrain.corner, origin[:-1]), heights=heights)
+
     return scene.replace(
         lower=moved(scene.lower),
         upper=moved(scene.upper),
-        bodies=tuple(replace(body, position=moved(body.position)) for body in scene.bodies),
+        bodies=tuple(map(moved_body, scene.bodies)),
         obstacles=tuple(map(moved_obstacle, scene.obstacles)),
         origin=tuple(known + zero for known, zero in zip(scene.origin, origin, strict=True)),
+        terrain=None if scene.terrain is None else moved_terrain(scene.terrain),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,31 +14,21 @@ from gns_pl.errors import InputError
 from gns_pl.presets import FOLDER, scene_names
 from gns_pl.scene.boundaries import Box, Obstacle, Plane, Wall
 from gns_pl.scene.changes import changed
-from gns_pl.scene.definition import Body, Material, Scene
+from gns_pl.scene.definition import Material, Scene
+from gns_pl.scene.ground import bodies_from_list, default_box, terrain_from_dict
 from gns_pl.scene.origin import near_origin
-from gns_pl.text import did_you_mean
+from gns_pl.scene.parts import part_from_dict
 
 OBSTACLES: dict[str, type[Obstacle]] = {"plane": Plane, "box": Box}
 """Kind of obstacle → its class."""
 
 
-def part_from_dict(cls: type, owner: str, data: Any) -> Any:
-    """Construct a dataclass from a mapping; unknown and missing keys are named."""
-    if not isinstance(data, Mapping):
-        raise InputError(f"{owner} must be a mapping of names to values, not {type(data).__name__}.")
-    known = {field.name: field for field in dataclasses.fields(cls)}
-    unknown = [str(key) for key in data if key not in known]
-    if unknown:
-        meant = did_you_mean(unknown[0], known)
-        raise InputError(f"{owner}: unknown key {', '.join(unknown)}{meant}; known are {', '.join(known)}.")
-    missing = [name for name, f in known.items() if f.default is dataclasses.MISSING and name not in data]
-    if missing:
-        raise InputError(f"{owner}: missing key {', '.join(missing)}.")
-    return cls(**data)
-
-
-def scene_from_dict(data: Mapping[str, Any]) -> Scene:
+def scene_from_dict(data: Mapping[str, Any], folder: str | Path = "") -> Scene:
     """Build a `Scene` from its plain-dict form.
+
+    Args:
+        data: plain values.
+        folder: in which files lie that a terrain or a release names.
 
     Raises:
         InputError: unknown or missing keys, or values a `Scene` refuses.
@@ -55,7 +45,12 @@ def scene_from_dict(data: Mapping[str, Any]) -> Scene:
         value = parts.setdefault(key, ())
         if not isinstance(value, list | tuple):
             raise InputError(f"scene: {key} must be a list, not {type(value).__name__}.")
-    parts["bodies"] = tuple(part_from_dict(Body, f"body {index}", body) for index, body in enumerate(parts["bodies"]))
+    box, terrain = (parts.get("lower"), parts.get("upper")), parts.get("terrain")
+    if terrain is not None:
+        terrain = parts["terrain"] = terrain_from_dict(terrain, Path(folder), *box)
+    parts["bodies"] = bodies_from_list(parts["bodies"], terrain, Path(folder))
+    if terrain is not None and box == (None, None):
+        parts["lower"], parts["upper"] = default_box(terrain, parts["bodies"])
     parts["obstacles"] = tuple(_obstacle(f"obstacle {index}", entry) for index, entry in enumerate(parts["obstacles"]))
     scene: Scene = part_from_dict(Scene, "scene", parts)
     return scene
@@ -92,7 +87,7 @@ def read_scene(path: str | Path, changes: Mapping[str, Any] | None = None) -> Sc
     """
     path = scene_path(path)
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))  # JSON is YAML
+        data = _parsed(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     except yaml.MarkedYAMLError as error:
@@ -102,9 +97,18 @@ def read_scene(path: str | Path, changes: Mapping[str, Any] | None = None) -> Sc
     except (yaml.YAMLError, UnicodeDecodeError):
         raise InputError(f"{path}: is not YAML or JSON.") from None
     try:
-        return near_origin(scene_from_dict(changed(data, changes or {}, "the scene")))
+        return near_origin(scene_from_dict(changed(data, changes or {}, "the scene"), path.parent))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _parsed(path: Path) -> Any:
+    """Return the plain values in a file: JSON by its own parser, which is fast with the heights of a terrain."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".json":
+        with contextlib.suppress(json.JSONDecodeError):
+            return json.loads(text)
+    return yaml.safe_load(text)  # which says where, if it is not JSON
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:

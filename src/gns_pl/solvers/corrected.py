@@ -16,6 +16,7 @@ from gns_pl.models.corrector import CorrectorFile, load_corrector
 from gns_pl.models.shipped import find_corrector
 from gns_pl.mpm.settings import solver_config, solver_version
 from gns_pl.scene import Scene
+from gns_pl.scene.terrain import refused_terrain
 from gns_pl.solvers.correction import CoarseStart, coarse_solver, corrected_frames, corrected_run
 from gns_pl.solvers.recording import Recording
 from gns_pl.solvers.reduction import Reduction, halve_scene
@@ -106,6 +107,8 @@ class CorrectedSolver(TrainedSolver):
         """Return the scene that is run: of a retuned coarse run a half with its scalars, else a slice where wanted."""
         if self.coarse is None:
             return super().reduced(scene)
+        if scene.terrain is not None:
+            raise InputError(refused_terrain(f"scene {scene.name!r}", self.name))
         if scene.dim != self.dim:
             raise InputError(f"scene {scene.name!r} has {scene.dim} dimensions, {self.name} {self.dim}.")
         return self.coarse.retuned(halve_scene(scene), scene)

@@ -71,6 +71,8 @@ def _walls(scene: Scene) -> set[str]:
             places[face[0]].add(wall.description)
     for obstacle in scene.obstacles:
         places["obstacle"].add(obstacle.wall.description)
+    if scene.terrain is not None:
+        places["terrain"] = {scene.terrain.wall.description}
     return {f"{kind} {place}: {words}" for place, walls in places.items() for words in walls}
 
 

@@ -50,6 +50,8 @@ def setup_of(scene: Scene) -> dict[str, str | float]:
         "gravity": " ".join(f"{value + 0.0:g}" for value in scene.gravity) + " m/s²",
     }
     setup |= {f"wall {face}": wall.description for face, wall in scene.walls.items() if face not in ("x+", "z+")}
+    if scene.terrain is not None:
+        setup["terrain"] = scene.terrain.wall.description
     setup |= {"aspect_ratio": height / length, "size": size, "room": room}
     if scene.dim == 3:
         setup["width"] = (scene.upper[1] - scene.lower[1]) / size

@@ -111,6 +111,8 @@ def not_plane_reason(scene: Scene, axis: int = 1) -> str | None:
     """
     if scene.dim != 3:
         return "it has two dimensions already"
+    if scene.terrain is not None:
+        return "it has a terrain"
     name = HORIZONTAL[axis]
     for face in (f"{name}-", f"{name}+"):
         if scene.walls[face].condition != "slip":
@@ -202,6 +204,8 @@ def not_mirror_reason(scene: Scene, axis: int) -> str | None:
         axis: the one across the mirror.
     """
     name = HORIZONTAL[axis]
+    if scene.terrain is not None:
+        return "it has a terrain"
     if scene.walls[f"{name}-"] != scene.walls[f"{name}+"]:
         return f"walls {name}- and {name}+ differ"
     if scene.gravity[axis]:

@@ -56,6 +56,7 @@ class MPMFactors(Factors):
             materials={name: self.material(each) for name, each in scene.materials.items()},
             walls={face: self.wall(each) for face, each in scene.walls.items()},
             obstacles=tuple(map(self.obstacle, scene.obstacles)),
+            terrain=scene.terrain and scene.terrain.replace(wall=self.wall(scene.terrain.wall)),
         )
 
     def settings(self, mpm: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.generation import chosen_every
 from gns_pl.scene import Particles, Scene, fill_scene
+from gns_pl.scene.terrain import refused_terrain
 from gns_pl.solvers.reduction import Reduction, not_plane_reason, to_plane
 from gns_pl.solvers.solver import Solver
 from gns_pl.solvers.training_range import out_of_range
@@ -41,6 +42,8 @@ class TrainedSolver(Solver):
         """Return what of a scene it has no means for, or None."""
         if scene.obstacles:
             return "knows no obstacles"
+        if scene.terrain is not None:
+            return "takes no terrain (solver=mpm and shallow do)"
         if self.dim == 2 and scene.dim == 3:
             reasons = [not_plane_reason(scene, axis) for axis in (1, 0)]
             if None not in reasons:
@@ -61,6 +64,8 @@ class TrainedSolver(Solver):
         """
         if scene.obstacles:
             raise InputError(f"scene {scene.name!r} has obstacles, and a learned simulator knows no obstacles yet.")
+        if scene.terrain is not None:
+            raise InputError(refused_terrain(f"scene {scene.name!r}", self.name))
         return reduction_for(scene, self.dim)
 
     def size(self, scene: Scene) -> tuple[int, int]:

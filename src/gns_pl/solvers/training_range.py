@@ -25,6 +25,8 @@ def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         return
     if scene.obstacles:
         yield "knows no obstacles"
+    if scene.terrain is not None:
+        yield "takes no terrain (solver=mpm and shallow do)"
     most = max(family.get("bodies", 2 if family.get("kind") == "pair_release" else 1) for family in families)
     if len(scene.bodies) > most:
         known_bodies = "single bodies" if most == 1 else f"up to {most} bodies"

@@ -33,6 +33,10 @@ class Still(Solver):
     group: str = field(default="trivial", init=False)
     selectable: bool = field(default=False, init=False)
 
+    def unsupported_reason(self, scene: Scene) -> str | None:
+        """Return that it knows the floor of the box alone, or None."""
+        return None if scene.terrain is None else "takes no terrain (solver=mpm and shallow do)"
+
     def spacing(self, scene: Scene) -> float:
         """Return the distance of neighbouring particles [m]."""
         return characteristic_size(scene) / self.cells / 2
