@@ -22,7 +22,7 @@ from gns_pl.mpm import MPMConfig, SimulationError, has_cuda, simulate, simulate_
 from gns_pl.mpm.grid import make_advance
 from gns_pl.mpm.laws import LAWS
 from gns_pl.mpm.plan import Plan, make_plan, make_setting, make_state
-from gns_pl.scene import Body, Box, Plane, Scene, Wall, fill_scene
+from gns_pl.scene import Body, Box, Plane, Scene, Terrain, Wall, fill_scene
 from tests.mpm.conftest import make_box, make_mpm, make_sand
 
 SIMULATED = bool(numba.config.ENABLE_CUDASIM)
@@ -112,6 +112,21 @@ def test_two_frames_equal_the_cpu_in_double_precision(dim: int, changes: dict[st
         assert size > 0
         assert np.abs(got - expected).max() < tolerance * size, name
     assert np.abs(batch.places()[:, list(plan.grid.axes)] - twin.place(exact[0])).max() < max(1e-7, tolerance)
+
+
+@on_gpu
+@DIMS
+def test_ground_gives_what_it_gives_on_the_cpu_beside_scenes_without(dim: int) -> None:
+    heights = 0.05 + np.random.default_rng(2).uniform(-0.02, 0.02, (6, 6)[: dim - 1])
+    ground = Terrain(heights, (-0.04,) * (dim - 1), 0.1, Wall("friction", 0.3))
+    scene = make_scene(dim, duration=INTERVAL, terrain=ground)
+    config = make_config()
+    there = simulate_batch([make_bare(dim), scene], config, frame_interval=INTERVAL, seeds=[5, 6])[1]
+    here = simulate(scene, config, frame_interval=INTERVAL, seed=6)
+    assert np.abs(there.position - here.position).max() < 1e-6
+    if dim == 2:
+        bare = simulate(scene.replace(terrain=None), config, frame_interval=INTERVAL, seed=6)
+        assert bare.num_particles > here.num_particles  # the ground carves the body on the floor
 
 
 @on_gpu

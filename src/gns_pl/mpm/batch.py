@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gns_pl.mpm.cuda import FIRST_NODE, LEFT, make_kernels
 from gns_pl.mpm.laws import find_law
-from gns_pl.mpm.plan import Plan, make_setting
+from gns_pl.mpm.plan import Plan, make_setting, num_surfaces
 
 THREADS = 1 if numba.config.ENABLE_CUDASIM else 128
 """In a block; numba's simulator cannot run device functions on several at a time."""
@@ -50,7 +50,8 @@ class Batch:
     def __init__(self, plans: Sequence[Plan], states: Sequence[State]) -> None:
         self.plans = tuple(plans)
         config, dim = plans[0].config, plans[0].scene.dim
-        self._kernels = make_kernels(config.shape, config.precision, dim, find_law(config.law))
+        terrain = any(plan.scene.terrain is not None for plan in plans)
+        self._kernels = make_kernels(config.shape, config.precision, dim, find_law(config.law), terrain)
         self.first = np.cumsum([0, *(len(state[0]) for state in states)])
         self.num_points = int(self.first[-1])
         self._points = [cuda.to_device(array) for array in _join_points(states)]
@@ -161,7 +162,7 @@ class Batch:
 
 
 def _most_obstacles(plans: Sequence[Plan]) -> int:
-    return max(len(plan.scene.obstacles) for plan in plans)
+    return max(num_surfaces(plan.scene) for plan in plans)
 
 
 def _join_points(states: Sequence[State]) -> list[NDArray[Any]]:
@@ -182,7 +183,7 @@ def _join_points(states: Sequence[State]) -> list[NDArray[Any]]:
 
 
 def _tables(plans: Sequence[Plan]) -> tuple[NDArray[Any], ...]:
-    """Return the tables of `cuda`, obstacles [O + 1, 8], `box` [S, 6] and `largest` [S]."""
+    """Return the tables of `cuda`, obstacles [O + 1, 8 or more], `box` [S, 6] and `largest` [S]."""
     whole, measure, friction, obstacles, box = [], [], [], [], []
     first_node = first_obstacle = 0
     for plan in plans:
@@ -198,6 +199,8 @@ def _tables(plans: Sequence[Plan]) -> tuple[NDArray[Any], ...]:
         first_obstacle += len(table)
     whole.append([0] * 6 + [first_node, first_obstacle])
     obstacles.append(np.zeros_like(obstacles[0], shape=(1, 8)))  # no array on the GPU is empty
+    width = max(table.shape[1] for table in obstacles)
+    obstacles = [np.pad(table, ((0, 0), (0, width - table.shape[1]))) for table in obstacles]
     return (
         np.array(whole, dtype=np.int64),
         np.array(measure, dtype=plans[0].config.precision),

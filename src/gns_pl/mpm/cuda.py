@@ -32,6 +32,7 @@ from numba import cuda
 
 from gns_pl.mpm.compiled import compiled, variant
 from gns_pl.mpm.grid import SHAPES, move_node
+from gns_pl.mpm.ground import GROUND_NAMES
 from gns_pl.mpm.laws import Law, law_names
 from gns_pl.mpm.shape import axis_shape, pick
 from gns_pl.mpm.transfer import note_gaps, point_terms, update_point
@@ -292,10 +293,11 @@ KERNELS = (
 
 
 @cache
-def make_kernels(shape: str, precision: str, dim: int, law: Law | None = None) -> dict[str, Any]:
-    """Return the `KERNELS` by name, for shape functions, floating type, dimension and material law."""
+def make_kernels(shape: str, precision: str, dim: int, law: Law | None = None, terrain: bool = False) -> dict[str, Any]:
+    """Return the `KERNELS` by name, for shape functions, floating type, dimension, material law and the ground."""
     launched = {kernel.py_func.__name__ for kernel in KERNELS}
     names = {**SHAPES[shape], **law_names(law), "lower": lower_together, "LAYERS": (0,) if dim == 2 else (0, 1, 2)}
+    names |= GROUND_NAMES if terrain else {}
     made = [
         variant(kernel, precision, names, lambda function: cuda.jit(function, device=function.__name__ not in launched))
         for kernel in KERNELS

@@ -17,6 +17,7 @@ import numpy as np
 from numba import prange
 
 from gns_pl.mpm.compiled import compiled, variant
+from gns_pl.mpm.ground import GROUND_NAMES
 from gns_pl.mpm.laws import DRUCKER_PRAGER, Law, find_law, law_names
 from gns_pl.mpm.obstacles import OBSTACLE_BAND, hold_at_obstacle
 from gns_pl.mpm.shape import linear_axis_shape
@@ -243,23 +244,24 @@ SHAPES = {"quadratic": {}, "linear": {"axis_shape": linear_axis_shape}}
 """Shape functions → what names mean in their kernels."""
 
 
-def make_advance(shape: str, precision: str, parallel: bool, law: str = DRUCKER_PRAGER) -> Any:
-    """Return `advance_steps` compiled for shape functions, floating type, one or more threads and a material law.
+def make_advance(shape: str, precision: str, parallel: bool, law: str = DRUCKER_PRAGER, terrain: bool = False) -> Any:
+    """Return `advance_steps` compiled for shape functions, floating type, threads, a material law and the ground.
 
     Args:
         shape: one of `SHAPES`.
         precision: "float64" or "float32".
         parallel: run its shares on threads of their own.
         law: as of `laws.find_law`.
+        terrain: there is a heightfield among the obstacles.
     """
-    return _make_advance(shape, precision, parallel, find_law(law))
+    return _make_advance(shape, precision, parallel, find_law(law), terrain)
 
 
 @cache
-def _make_advance(shape: str, precision: str, parallel: bool, law: Law | None) -> Any:
-    if shape == "quadratic" and precision == "float64" and law is None:
+def _make_advance(shape: str, precision: str, parallel: bool, law: Law | None, terrain: bool) -> Any:
+    if shape == "quadratic" and precision == "float64" and law is None and not terrain:
         return compiled(advance_steps, "parallel", parallel=True) if parallel else advance
-    name = f"{shape}-{precision}" + (f"-{law.digest}" if law else "")
-    names = {**SHAPES[shape], **law_names(law)}
+    name = f"{shape}-{precision}" + (f"-{law.digest}" if law else "") + ("-ground" if terrain else "")
+    names = {**SHAPES[shape], **law_names(law), **(GROUND_NAMES if terrain else {})}
     kernel = variant(advance, precision, names, lambda function: compiled(function, name))
     return compiled(kernel.py_func, f"{name}-parallel", parallel=True) if parallel else kernel

@@ -75,9 +75,14 @@ def make_grid(scene: Scene, cell_size: float) -> Grid:
     )
 
 
+def num_surfaces(scene: Scene) -> int:
+    """Return how many rows the table of obstacles has, the ground's among them."""
+    return len(scene.obstacles) + (scene.terrain is not None)
+
+
 def check_grid_memory(scene: Scene, grid: Grid, config: MPMConfig) -> None:
     """Raise an `InputError` where the grid, which spans the whole box, needs more memory than is free."""
-    needed = math.prod(grid.nodes) * (8 + 3 + len(scene.obstacles)) * np.dtype(config.precision).itemsize
+    needed = math.prod(grid.nodes) * (8 + 3 + num_surfaces(scene)) * np.dtype(config.precision).itemsize
     free = free_memory()
     if needed > free:
         cells = " x ".join(f"{grid.cells[axis]:,}" for axis in grid.axes)
@@ -162,10 +167,14 @@ def make_plan(scene: Scene, particles: Particles, config: MPMConfig, frame_inter
     """Choose grid and time step of a run.
 
     Raises:
-        InputError: cells that do not fit the box, or a grid that does not fit into memory.
+        InputError: cells that do not fit the box, or that do not resolve the ground, or a grid that does not fit into
+            memory.
     """
+    from gns_pl.mpm.ground import check_ground
+
     grid = make_grid(scene, config.cell_size)
     check_grid_memory(scene, grid, config)
+    check_ground(scene, grid)
     speed = largest_speed(scene, particles)
     steps = num_steps_per_frame(scene, config, grid, speed, frame_interval)
     num_frames = round(scene.duration / frame_interval) + 1
@@ -198,7 +207,7 @@ def make_state(scene: Scene, particles: Particles, grid: Grid, config: MPMConfig
         particles.material_name,
         np.stack(materials).astype(real),
         np.zeros((num_nodes, 8), dtype=real),  # grid
-        np.full((num_nodes, 3 + len(scene.obstacles)), math.inf, dtype=real),  # gap
+        np.full((num_nodes, 3 + num_surfaces(scene)), math.inf, dtype=real),  # gap
         np.arange(number, dtype=np.int32),  # order
         np.zeros(number, dtype=np.int32),  # block
         np.zeros(num_blocks + 1, dtype=np.int32),  # start
@@ -207,7 +216,7 @@ def make_state(scene: Scene, particles: Particles, grid: Grid, config: MPMConfig
 
 def make_setting(scene: Scene, grid: Grid, config: MPMConfig, dt: float) -> tuple[Any, ...]:
     """Return what stays the same over all steps: the other arguments of `grid.advance_steps` up to `dt`."""
-    from gns_pl.mpm.obstacles import obstacle_table
+    from gns_pl.mpm.ground import surface_table
     from gns_pl.mpm.walls import wall_number
 
     gravity, friction = [0.0, 0.0, 0.0], np.zeros((3, 2))
@@ -225,7 +234,7 @@ def make_setting(scene: Scene, grid: Grid, config: MPMConfig, dt: float) -> tupl
         tuple(real(part) for part in gravity),
         friction.astype(real),
         tuple(real(0.5 * config.spacing / edge) for edge in grid.cell),
-        obstacle_table(scene, grid.lower, grid.axes).astype(real),
+        surface_table(scene, grid).astype(real),
         (0,) if scene.dim == 2 else (0, 1, 2),
         real(affine_fraction),
         real(own * config.flip_fraction * math.exp(-config.damping_rate * dt)),

@@ -11,8 +11,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.machine import available_cores
@@ -65,8 +63,9 @@ def place_points(scene: Scene, mpm: Mapping[str, Any], seed: int) -> Particles:
     Raises:
         InputError: settings the solver refuses.
     """
-    config = solver_config(mpm)
-    return fill_scene(scene, config.spacing, jitter=config.jitter, generator=np.random.default_rng(seed))
+    from gns_pl.mpm.solver import start_points
+
+    return start_points(scene, solver_config(mpm), seed)
 
 
 def run_solver(
@@ -180,6 +179,7 @@ def law_digest(mpm: Mapping[str, Any]) -> str:
 def _own_version() -> str:
     package = Path(gns_pl.__file__).parent
     digest = hashlib.sha256()
-    for path in [*sorted((package / "mpm").rglob("*.py")), package / "scene" / "filling.py"]:
+    filling = [package / "scene" / f"{name}.py" for name in ("filling", "release", "terrain")]
+    for path in [*sorted((package / "mpm").rglob("*.py")), *filling]:
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
     return f"{gns_pl.__version__}+{digest.hexdigest()[:12]}"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.mpm.config import MPMConfig, SimulationError
-from gns_pl.mpm.plan import NUM_POINT_ARRAYS, ORDER, SAVED, Plan, make_plan, make_setting, make_state
+from gns_pl.mpm.plan import NUM_POINT_ARRAYS, ORDER, SAVED, Plan, make_grid, make_plan, make_setting, make_state
 from gns_pl.scene import Particles, Scene, fill_scene
 from gns_pl.trajectory import Trajectory, start_trajectory
 
@@ -125,7 +125,7 @@ def advance_frames(
         state = _reordered(state, original)
         for name, index in SAVED.items():
             state[index][:] = saved[name]
-    with _advance(plan.config, num_threads) as advance:
+    with _advance(plan, num_threads) as advance:
         for frame in range(first, plan.num_frames):
             if frame > first:
                 # Points mix as they flow; kept in the order of the last step's blocks, a step of a large scene takes
@@ -211,8 +211,16 @@ def start_run(scene: Scene, config: MPMConfig, frame_interval: float, seed: int)
     """Return the points that fill a scene, and the plan of their run; arguments and errors as those of `simulate`."""
     if not (math.isfinite(frame_interval) and frame_interval > 0):
         raise InputError(f"mpm: frame_interval must be a positive number, not {frame_interval}.")
-    particles = fill_scene(scene, config.spacing, jitter=config.jitter, generator=np.random.default_rng(seed))
+    particles = start_points(scene, config, seed)
     return particles, make_plan(scene, particles, config, frame_interval)
+
+
+def start_points(scene: Scene, config: MPMConfig, seed: int) -> Particles:
+    """Return the points that fill a scene, on the ground as the grid has it; arguments and errors as of `simulate`."""
+    from gns_pl.mpm.ground import on_ground
+
+    particles = fill_scene(scene, config.spacing, jitter=config.jitter, generator=np.random.default_rng(seed))
+    return on_ground(scene, particles, make_grid(scene, config.cell_size))
 
 
 def has_cuda() -> bool:
@@ -225,8 +233,8 @@ def has_cuda() -> bool:
 
 
 @contextmanager
-def _advance(config: MPMConfig, num_threads: int) -> Iterator[Callable[..., int]]:
-    """Give the kernel of `config`, and `num_threads` to numba as long as it is used."""
+def _advance(plan: Plan, num_threads: int) -> Iterator[Callable[..., int]]:
+    """Give the kernel of a plan, and `num_threads` to numba as long as it is used."""
     import numba
 
     from gns_pl.mpm.grid import make_advance
@@ -234,7 +242,8 @@ def _advance(config: MPMConfig, num_threads: int) -> Iterator[Callable[..., int]
     most = numba.config.NUMBA_NUM_THREADS
     if not 1 <= num_threads <= most:
         raise InputError(f"mpm: num_threads must lie between 1 and {most}, not {num_threads}.")
-    advance = make_advance(config.shape, config.precision, num_threads > 1, config.law)
+    config, terrain = plan.config, plan.scene.terrain is not None
+    advance = make_advance(config.shape, config.precision, num_threads > 1, config.law, terrain)
     if num_threads == 1:
         yield advance
         return

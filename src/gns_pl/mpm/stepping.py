@@ -32,7 +32,10 @@ class SteppedRun:
         self._state = make_state(scene, particles, self.plan.grid, config)
         setting = make_setting(scene, self.plan.grid, config, self.plan.dt)
         self._advance = partial(
-            make_advance(config.shape, config.precision, False, config.law), *self._state, *setting, 1
+            make_advance(config.shape, config.precision, False, config.law, scene.terrain is not None),
+            *self._state,
+            *setting,
+            1,
         )
 
     @property

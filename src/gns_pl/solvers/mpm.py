@@ -108,7 +108,7 @@ class MPMSolver(Solver):
         drop = max(body.upper[-1] for body in reduced_scene.bodies) - reduced_scene.lower[-1]
         fastest += math.sqrt(2 * math.hypot(*reduced_scene.gravity) * drop)
         points_per_direction = mpm_settings.solver_config(settings).points_per_direction
-        volume = sum(math.prod(body.size) for body in reduced_scene.bodies)
+        volume = sum(body.volume for body in reduced_scene.bodies)
         number = round(volume / (cell / points_per_direction) ** reduced_scene.dim)
         return number, math.ceil(reduced_scene.duration * fastest / (settings["courant"] * cell))
 
