@@ -26,6 +26,7 @@ class ShallowConfig:
         earth_pressure: horizontal over vertical stress k; 1 as in a liquid.
         rain: height over length of the standing part of a column; what is above falls freely and is added to the layer
             without horizontal momentum (Larrieu, Staron and Hinch 2006). None: nothing rains.
+        turbulence: ξ of Voellmy's drag g v² / ξ, v the speed along the ground [m/s²]; None: none.
         num_particles: of the trajectory that is returned; None: `NUM_PARTICLES`.
 
     Raises:
@@ -38,6 +39,7 @@ class ShallowConfig:
     friction_factor: float = 1.0
     earth_pressure: float = 1.0
     rain: float | None = None
+    turbulence: float | None = None
     num_particles: int | None = None
 
     def __post_init__(self) -> None:
@@ -46,6 +48,9 @@ class ShallowConfig:
         for name in ("friction", "rain"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, checked_number("shallow", name, getattr(self, name), 0.0))
+        if self.turbulence is not None:
+            turbulence = checked_number("shallow", "turbulence", self.turbulence, 0.0, above=True)
+            object.__setattr__(self, "turbulence", turbulence)
         if self.courant > COURANT_LIMIT:
             raise InputError(f"shallow: courant must be at most {COURANT_LIMIT:g}, not {self.courant:g}.")
         if self.num_particles is not None:

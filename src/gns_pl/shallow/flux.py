@@ -15,9 +15,6 @@ from gns_pl.shallow.compiled import compiled
 DRY = 1e-10
 """A thinner layer does not move [m]."""
 
-CLIFF = 2.0
-"""A bed that rises by more than this many cells from one cell to the next is a wall to a layer that is lower."""
-
 
 @compiled
 def limited(before, after):
@@ -79,13 +76,13 @@ def wall_force(h, outward, g):
 
 
 @compiled
-def is_wall(h, bed, other_h, other_bed, width):
-    """Tell whether a layer meets a dry bed that stands above it like a wall."""
-    return other_h <= DRY and other_bed - bed > CLIFF * width and h + bed <= other_bed
+def is_wall(h, bed, other_h, other_bed, jump):
+    """Tell whether a layer meets a dry bed that stands above it, by more than `jump`, like a wall."""
+    return other_h <= DRY and other_bed - bed > jump and h + bed <= other_bed
 
 
 @compiled
-def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number, face, face_stride, width):
+def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number, face, face_stride, width, cliff):
     """Add to the rates of change of a line of cells what flows through its faces and what its bed does.
 
     Surface, thickness and velocity are linear in a cell. At a face the layers are cut off at the higher bed, and what
@@ -99,8 +96,9 @@ def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number,
         start, stride, number: of the line's cells.
         face, face_stride: of the line's faces, one more than there are cells.
         width: of a cell along the line [m].
+        cliff: a bed that rises by more than this many cells from one to the next is a step, and no slope.
     """
-    over = 1.0 / width
+    over, jump = 1.0 / width, cliff * width
     last, last_h, last_e, last_u, last_t = start, 0.0, 0.0, 0.0, 0.0  # the cell before, at its upper face
     for s in range(number + 1):
         cell = start + s * stride
@@ -111,23 +109,27 @@ def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number,
         thick, surface, u, t = h[cell], h[cell] + bed[cell], un[cell], ut[cell]
         slope_h = slope_e = slope_u = slope_t = 0.0
         below, above = cell - stride, cell + stride
-        if 0 < s < number - 1 and thick > DRY and (frozen[near] == 0 or frozen[near + face_stride] == 0):
-            jump = CLIFF * width
-            if abs(bed[cell] - bed[below]) <= jump and abs(bed[above] - bed[cell]) <= jump:
-                slope_h = 0.5 * limited(thick - h[below], h[above] - thick)
-                slope_e = 0.5 * limited(surface - h[below] - bed[below], h[above] + bed[above] - surface)
-                # A dry cell has no velocity: beside it the slope is the other side's, or the tip would lag behind. It
-                # stays no faster than a wave can make it: speed + 2 √(g h) does not grow outwards.
-                dry_below, dry_above = h[below] <= DRY, h[above] <= DRY
-                if not (dry_below and dry_above):
-                    low = above if dry_below else cell
-                    up = below if dry_above else cell
-                    slope_u = 0.5 * limited(un[low] - un[low - stride], un[up + stride] - un[up])
-                    slope_t = 0.5 * limited(ut[low] - ut[low - stride], ut[up + stride] - ut[up])
-                if dry_below != dry_above:
-                    inner, outwards = (above, -1.0) if dry_below else (below, 1.0)
-                    waves = 2.0 * (math.sqrt(gravity[inner] * h[inner]) - math.sqrt(gravity[cell] * thick))
-                    slope_u = min(slope_u, max(outwards * (un[inner] - u) + waves, 0.0))
+        if (
+            0 < s < number - 1
+            and thick > DRY
+            and (frozen[near] == 0 or frozen[near + face_stride] == 0)
+            and abs(bed[cell] - bed[below]) <= jump
+            and abs(bed[above] - bed[cell]) <= jump
+        ):
+            slope_h = 0.5 * limited(thick - h[below], h[above] - thick)
+            slope_e = 0.5 * limited(surface - h[below] - bed[below], h[above] + bed[above] - surface)
+            # A dry cell has no velocity: beside it the slope is the other side's, or the tip would lag behind. It
+            # stays no faster than a wave can make it: speed + 2 √(g h) does not grow outwards.
+            dry_below, dry_above = h[below] <= DRY, h[above] <= DRY
+            if not (dry_below and dry_above):
+                low = above if dry_below else cell
+                up = below if dry_above else cell
+                slope_u = 0.5 * limited(un[low] - un[low - stride], un[up + stride] - un[up])
+                slope_t = 0.5 * limited(ut[low] - ut[low - stride], ut[up + stride] - ut[up])
+            if dry_below != dry_above:
+                inner, outwards = (above, -1.0) if dry_below else (below, 1.0)
+                waves = 2.0 * (math.sqrt(gravity[inner] * h[inner]) - math.sqrt(gravity[cell] * thick))
+                slope_u = min(slope_u, max(outwards * (un[inner] - u) + waves, 0.0))
         h_low, h_up = thick - slope_h, thick + slope_h
         e_low, e_up = surface - slope_e, surface + slope_e
         part_low = h_up / thick if thick > DRY else 0.0
@@ -141,9 +143,9 @@ def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number,
         elif frozen[near] == 1:
             dn[last] -= over * gravity[last] * 0.5 * last_h * last_h
             dn[cell] += over * own * 0.5 * h_low * h_low
-        elif is_wall(h[last], bed[last], thick, bed[cell], width):
+        elif is_wall(h[last], bed[last], thick, bed[cell], jump):
             dn[last] -= over * wall_force(last_h, last_u, gravity[last])
-        elif is_wall(thick, bed[cell], h[last], bed[last], width):
+        elif is_wall(thick, bed[cell], h[last], bed[last], jump):
             dn[cell] += over * wall_force(h_low, -u_low, own)
         else:
             floor = max(last_e - last_h, e_low - h_low)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gns_pl.scene import Body, Plane, Scene, Wall
+from gns_pl.scene import Body, Plane, Release, Scene, Wall
 from gns_pl.shallow.config import ShallowConfig
+from gns_pl.shallow.terrain import CLIFF, STEEPEST_DEG, terrain_curve, terrain_height
 
 Floats = NDArray[np.float64]
 
-STEEPEST = math.cos(math.radians(60))
+STEEPEST = math.cos(math.radians(STEEPEST_DEG))
 """Least vertical component of a plane's normal, and least share of gravity along the last axis."""
 
 GAP = 1e-6
@@ -74,12 +75,19 @@ class Ground:
         bed: the same as the equations have it: with the tilt of gravity, slopes over the earth pressure [C] [m].
         gravity: k g cos²θ, θ the slope of a plane [C] [m/s²].
         friction: tan δ / k [C].
+        curve: slopes along x and y of a terrain, the second derivatives xx, xy and yy of its height [1/m], thickness
+            [m] and own speed [m/s] of a film (`terrain.terrain_curve`) [C, 7]; without one [0, 7].
+        drag: g / (ξ cos²θ), Voellmy's [C]; without [0].
+        cliff: rise of the bed from one cell to the next, in cells, beyond which it is a step and no slope.
     """
 
     height: Floats
     bed: Floats
     gravity: Floats
     friction: Floats
+    curve: Floats = field(default_factory=lambda: np.zeros((0, 7)))
+    drag: Floats = field(default_factory=lambda: np.zeros(0))
+    cliff: float = CLIFF
 
 
 def make_grid(scene: Scene, cell_size: float) -> Grid:
@@ -94,7 +102,8 @@ def with_bodies(scene: Scene, grid: Grid) -> Grid:
     """Return a grid with the edges of the bodies besides its own, so that no cell is covered in part."""
     edges = list(grid.edges)
     for axis in range(scene.dim - 1):
-        ends = [end[axis] for body in scene.bodies for end in (body.position, body.upper)]
+        boxes = [body for body in scene.bodies if not isinstance(body, Release)]
+        ends = [end[axis] for body in boxes for end in (body.position, body.upper)]
         edges[axis] = np.unique(np.clip([*edges[axis], *ends], edges[axis][0], edges[axis][-1]))
         edges[axis] = edges[axis][np.append(True, np.diff(edges[axis]) > GAP)]
     return Grid((edges[0], edges[1]))
@@ -115,6 +124,7 @@ def unsupported_reason(scene: Scene) -> str | None:
         return "depth-averaged flow has one density, and the bodies differ in theirs."
     strengths = [scene.materials[body.material].tan_friction_angle for body in scene.bodies]
     walls = [scene.walls["z-"], *(obstacle.wall for obstacle in scene.obstacles)]
+    walls += [scene.terrain.wall] if scene.terrain is not None else []
     if any(floor_friction(wall, min(strengths)) != floor_friction(wall, max(strengths)) for wall in walls):
         return "depth-averaged flow has one friction on a floor, and the bodies' friction angles would give several."
     for index, body in enumerate(scene.bodies):
@@ -145,11 +155,22 @@ def make_ground(scene: Scene, grid: Grid, config: ShallowConfig) -> Ground:
     height = np.full(len(x), scene.lower[-1])
     flatness = np.ones(len(x))
     friction = np.full(len(x), floor_friction(scene.walls["z-"], strength))
+    curve = np.zeros((0, 7))
+    if scene.terrain is not None:
+        surface = terrain_height(scene, grid)
+        height, curve = (
+            np.maximum(surface.ravel(), height),
+            terrain_curve(surface, grid, -scene.gravity[-1], config.earth_pressure),
+        )
+        curve[surface.ravel() < height, :6] = 0.0
+        flatness = 1.0 / (1.0 + curve[:, 0] ** 2 + curve[:, 1] ** 2)
+        friction[surface.ravel() >= height] = floor_friction(scene.terrain.wall, strength)
     for plane in (obstacle for obstacle in scene.obstacles if isinstance(obstacle, Plane)):
         surface = plane_height(plane, x, y)
         above = surface > height
         height[above] = surface[above]
         flatness[above] = plane.normal[-1] ** 2
+        curve[above[: len(curve)], :6] = 0.0
         friction[above] = floor_friction(plane.wall, strength)
     slopes = height.copy()
     for axis, place in enumerate((x, y)[: scene.dim - 1]):
@@ -162,12 +183,16 @@ def make_ground(scene: Scene, grid: Grid, config: ShallowConfig) -> Ground:
         above = inside & (box.upper[-1] > height)
         height[above] = box.upper[-1]
         flatness[above] = 1.0
+        curve[above[: len(curve)], :6] = 0.0
         friction[above] = floor_friction(box.wall, strength)
     if config.friction is not None:
         friction[:] = config.friction
     k = config.earth_pressure
     gravity = -scene.gravity[-1] * k * flatness
-    return Ground(height, slopes / k + (height - base), gravity, config.friction_factor * friction / k)
+    drag = np.zeros(0) if config.turbulence is None else -scene.gravity[-1] / (config.turbulence * flatness)
+    bed = slopes / k + (height - base)
+    cliff = CLIFF if scene.terrain is None else CLIFF / min(k, 1.0)  # slopes of the bed are over k
+    return Ground(height, bed, gravity, config.friction_factor * friction / k, curve, drag, cliff)
 
 
 def make_layer(scene: Scene, grid: Grid, height: Floats, rain: float | None) -> tuple[Floats, Floats, Floats, Floats]:
@@ -184,6 +209,12 @@ def make_layer(scene: Scene, grid: Grid, height: Floats, rain: float | None) -> 
     """
     layer, qx, qy, falling = (np.zeros(len(height)) for _ in range(4))
     for body in scene.bodies:
+        if isinstance(body, Release):
+            thickness = body.means(grid.edges).ravel()
+            layer += thickness
+            qx += thickness * body.velocity[0]
+            qy += thickness * body.velocity[1]
+            continue
         lower, upper = (*body.position[:-1], 0.0)[:2], (*body.upper[:-1], 1.0)[:2]
         cover = grid.coverage(lower, upper)
         thickness = np.maximum(body.upper[-1] - np.maximum(height, body.position[-1]), 0.0)
@@ -220,6 +251,8 @@ def plane_height(plane: Plane, x: Floats, y: Floats) -> Floats:
 
 def _gap(scene: Scene, body: Body) -> float:
     """Return how far a body starts above what is under it, where it is nearest to it [m]."""
+    if isinstance(body, Release):
+        return 0.0
     bottom = body.position[-1]
     support = scene.lower[-1]
     corners = body.corners()[:, : scene.dim - 1]
@@ -229,6 +262,10 @@ def _gap(scene: Scene, body: Body) -> float:
             support = max(support, float(plane_height(obstacle, x, y).max()))
         elif _over(body, obstacle.position, obstacle.upper):
             support = max(support, obstacle.upper[-1])
+    if scene.terrain is not None:
+        shares = np.indices((33,) * (scene.dim - 1)).reshape(scene.dim - 1, -1).T / 32
+        places = np.array(body.position[:-1]) + shares * body.size[:-1]
+        support = max(support, float(scene.terrain.height(places).max()))
     for other in scene.bodies:
         if other is not body and other.upper[-1] <= bottom + GAP and _over(body, other.position, other.upper):
             support = max(support, other.upper[-1])

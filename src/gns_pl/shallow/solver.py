@@ -24,6 +24,7 @@ from gns_pl.shallow.plan import (
     unsupported_reason,
     with_bodies,
 )
+from gns_pl.shallow.terrain import lift_onto_terrain
 from gns_pl.trajectory import Trajectory
 
 
@@ -77,7 +78,9 @@ class Layer:
 
         if not self.at_rest:
             state = (self.thickness, *self.momentum)
-            ground = (self.ground.bed, self.ground.gravity, self.ground.friction)
+            ground = tuple(
+                getattr(self.ground, name) for name in ("bed", "gravity", "friction", "curve", "drag", "cliff")
+            )
             settings = (self.rain, self.fall, self.grid.shape, self.grid.sizes, self.courant, self.time, end)
             steps, self.at_rest = advance(state, ground, *settings)
             if steps < 0:
@@ -136,6 +139,7 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
     ground = height[grid.parents(exact)]
     start, _, _, rain = make_layer(scene, exact, ground, config.rain)
     place(shares, start, rain, start, ground, *exact.edges, position)
+    lift_onto_terrain(scene, grid, height, position)
     frames[0] = position[:, axes]
     body = nearest_body(scene, position[:, axes])
     for frame in range(1, num_frames):
@@ -144,6 +148,7 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
             continue
         layer.advance(frame * frame_interval)
         place(shares, layer.thickness, layer.falling, standing, height, *grid.edges, position)
+        lift_onto_terrain(scene, grid, height, position)
         frames[frame] = position[:, axes]
     volume = float((layer.thickness + layer.falling).sum()) * grid.sizes[0] * grid.sizes[1]
     materials = [scene.materials[each.material] for each in scene.bodies]

@@ -53,13 +53,17 @@ class ShallowSolver(Solver):
         except TypeError as error:
             raise InputError(f"choice.shallow.{self.name}: {error}.") from error
 
+    def cell_size(self, scene: Scene) -> float:
+        """Return the edge of a cell: that of the terrain, which knows nothing finer, or a part of the bodies' [m]."""
+        return characteristic_size(scene) / self.cells if scene.terrain is None else scene.terrain.cell
+
     def config(self, scene: Scene) -> ShallowConfig:
         """Return the settings for a scene."""
         angle = max(scene.materials[body.material].friction_angle_deg for body in scene.bodies)
-        cell, reduced_scene = characteristic_size(scene) / self.cells, reduce_scene(scene).scene
+        cell, reduced_scene = self.cell_size(scene), reduce_scene(scene).scene
         config = self._config(cell, 1 - math.sin(math.radians(angle)))
         if config.num_particles is None:
-            volume = sum(math.prod(body.size) for body in reduced_scene.bodies)
+            volume = sum(body.volume for body in reduced_scene.bodies)
             number = max(LEAST_PARTICLES, round(volume / (cell / 2) ** reduced_scene.dim))
             config = replace(config, num_particles=number)
         return config
@@ -95,7 +99,7 @@ class ShallowSolver(Solver):
     def cost(self, scene: Scene) -> float:
         """Return the number of cells × the number of steps, of surface waves on the highest body."""
         reduced_scene = self.reduced(scene).scene
-        cell = characteristic_size(scene) / self.cells
+        cell = self.cell_size(scene)
         lengths = [high - low for low, high in zip(reduced_scene.lower, reduced_scene.upper, strict=True)][:-1]
         height = max(body.upper[-1] for body in reduced_scene.bodies) - reduced_scene.lower[-1]
         wave = math.sqrt(math.hypot(*scene.gravity) * height)
