@@ -12,6 +12,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 from gns_pl.commands.arguments import LISTS, NAMES, parts_of, prepared
+from gns_pl.scene.changes import decoded
 from gns_pl.text import override
 from tests.commands.test_train import ROOT
 from tests.test_text import NAMES as NASTY
@@ -157,3 +158,10 @@ def test_no_path_of_a_config_is_forgotten() -> None:
                 forgotten.append(full.removeprefix("hydra."))
     unlisted = sorted(key for key in forgotten if key not in (*LISTS, *NAMES))
     assert unlisted == ["evaluation.split", "tolerance"]  # whose comments speak of files all the same
+
+
+def test_what_an_ensemble_varies_is_any_key_of_a_scene_but_its_own_stay() -> None:
+    typed = ["ensemble.walls.z-.friction=[0.2,0.4]", "ensemble.members=4"]
+    done = prepared(typed, CONF / "simulate.yaml")
+    assert done == ["++ensemble.vary.walls$2e$z-$2e$friction=[0.2,0.4]", "ensemble.members=4"]
+    assert decoded({done[0].partition("=")[0].rpartition(".")[2]: 0}) == {"walls.z-.friction": 0}

@@ -23,7 +23,7 @@ from gns_pl.metrics.curves import CURVES, compute_curves, cut, read_curves
 from gns_pl.metrics.measures import position_mse, rollout_mse
 from gns_pl.metrics.summary import COMPARISON, SUMMARY, profile_l1, summarise
 from gns_pl.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from gns_pl.scene import scene_from_dict, write_scene
+from gns_pl.scene import read_raster, scene_from_dict, write_scene
 from gns_pl.solvers.learned import LearnedSolver
 from tests.conftest import make_simulator
 from tests.evaluation.made_up import column, spreading
@@ -48,6 +48,8 @@ SETTINGS = {
     "animation": {"num_frames": 6, "width": 400},
     "film": None,
     "paraview": False,
+    "maps": False,
+    "reached": None,
     "save_trajectories": False,
     "logger": None,
     "stabilise": {},
@@ -153,6 +155,16 @@ def test_films_and_series_in_three_dimensions(checkpoint, tmp_path) -> None:
     assert "error" not in pyvista.get_reader(out / "paraview" / "reference_short.pvd").read()[0].point_data
     with pytest.raises(InputError, match="must be mp4, gif or null"):
         run(checkpoint, tmp_path, film="avi")
+
+
+def test_maps_of_rollout_and_reference_are_on_the_same_cells(checkpoint, tmp_path) -> None:
+    run(checkpoint, tmp_path, only="short", maps=True, reached=0.03)
+    learned, reference = (
+        read_raster(tmp_path / "out" / "maps" / f"{name}_short_deposit.asc") for name in ("learned", "reference")
+    )
+    assert (learned.corner, learned.cell) == (reference.corner, reference.cell)
+    for deposit in (learned, reference):
+        assert deposit.values.sum() * deposit.cell**2 == pytest.approx(0.4 * 0.5 * 0.2, rel=1e-3)
 
 
 def test_a_copy_elsewhere_gives_the_same_numbers(checkpoint, tmp_path, monkeypatch) -> None:

@@ -43,6 +43,9 @@ NAMES = (
 LABELLED = {"simulate": ("out",), "evaluate": ("out",)}
 """Commands whose jobs of one sweep write side by side, and keys that need not be in the names of what they write."""
 
+ENSEMBLE = ("ensemble.members", "ensemble.grid", "ensemble.thresholds")
+"""Keys of an ensemble; what others begin with `ensemble.` it varies."""
+
 QUOTED = re.compile(r'"(?:\\.|[^"\\])*"|' + r"'(?:\\.|[^'\\])*'", re.DOTALL)
 SWEPT = re.compile(r"(choice|glob|range|interval|shuffle|sort|tag)\(.*\)", re.DOTALL)
 ASSIGNMENT = re.compile(r"(?P<plus>\+{0,2})(?P<key>[^=~]+)=(?P<value>.*)", re.DOTALL)
@@ -70,6 +73,8 @@ def prepared(arguments: Sequence[str], config: Path) -> list[str]:
             plus = "" if key in defaults else "+"  # the only way that Hydra takes it
         elif config.stem == "simulate" and key.startswith("scene."):
             plus, key = "++", f"changes.{encoded(key.removeprefix('scene.'))}"
+        elif config.stem == "simulate" and key.startswith("ensemble.") and key not in ENSEMBLE:
+            plus, key = "++", f"ensemble.vary.{encoded(key.removeprefix('ensemble.'))}"
         elif any(fnmatchcase(key, pattern) for pattern in (*LISTS, *NAMES)):
             value = value_of(value, listed=key in LISTS, sweeping=sweeping)
         prepared.append(f"{plus}{key}={value}")

@@ -29,7 +29,7 @@ OPEN = (
         "data.sampling",
         "data.root",
     ),
-    *("model", "changes", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
+    *("model", "changes", "ensemble.vary", "catalogue", "evaluation.columns", "evaluation.stress.mpm"),
     *(
         "evaluation.stress.variants",
         "evaluation.stress.sand",
@@ -54,7 +54,7 @@ EMPTY = (
 
 NUMBERS = (
     *("tolerance", "duration", "dt", "scale", "spacing", "threads", "num_workers", "training.num_train"),
-    "training.optimisation.huber_delta",
+    *("training.optimisation.huber_delta", "reporting.reached", "evaluation.reached", "ensemble.grid"),
 )
 TEXTS = (
     *(
@@ -96,7 +96,8 @@ MPM = ("", "choice.", "data.", "evaluation.stress.")
 
 WHOLE = {
     **dict.fromkeys(("seed", "data.seed", "evaluation.seed", "evaluation.stress.seed", "evaluation.placements"), 0),
-    **dict.fromkeys(("num_workers", "placements", "budget"), 1),
+    **dict.fromkeys(("num_workers", "placements", "budget", "ensemble.members"), 1),
+    "ensemble.grid": 2,
     **dict.fromkeys(("batches.turns", "valid", "test"), 0),
     **dict.fromkeys((f"{owner}mpm.points_per_direction" for owner in MPM), 1),
 }

@@ -11,7 +11,7 @@ import numpy as np
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.placements import Placements
-from gns_pl.evaluation.run_report import ReportedRun, check_reporting, write_report
+from gns_pl.evaluation.run_report import CHECKED, ReportedRun, check_reporting, write_report
 from gns_pl.evaluation.solver_alone import REPORTING, configured_scenes
 from gns_pl.generation import reference_trajectory
 from gns_pl.io.tables import write_table
@@ -72,7 +72,7 @@ def evaluate_solver(settings: Mapping[str, Any], label: str = "") -> dict[str, l
         )
     if evaluation["placements"] < 1:
         raise InputError(f"evaluation.placements must be 1 or more with solver=, not {evaluation['placements']}.")
-    check_reporting(**{key: evaluation[key] for key in ("figures", "film", "paraview")}, key="evaluation")
+    check_reporting(**{key: evaluation[key] for key in CHECKED}, key="evaluation")
     policy = Policy(settings["stabilise"])
     solver = load_solver(settings["solver"], device=evaluation["device"], policy=policy, choice=choice)
     interval = choice["frame_interval"]

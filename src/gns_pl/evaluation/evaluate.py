@@ -16,9 +16,11 @@ from gns_pl.evaluation.checks import (
     named_checkpoints,
     with_data,
 )
-from gns_pl.evaluation.judge import SceneResult, judge_scene
+from gns_pl.evaluation.judge import judge_scene
+from gns_pl.evaluation.maps import check_mapped_scene, check_maps
 from gns_pl.evaluation.scenes import build_scenes, chosen
-from gns_pl.metrics.curves import cut, write_curves
+from gns_pl.metrics.curves import write_curves
+from gns_pl.scene.terrain import refused_terrain
 from gns_pl.text import command
 
 if TYPE_CHECKING:
@@ -64,6 +66,8 @@ def evaluate_config(cfg: DictConfig, *, label: str = "") -> dict[str, dict[str, 
         check_figures()
     if evaluation["film"] or evaluation["paraview"]:
         check_space(film=bool(evaluation["film"]))
+    if evaluation["maps"]:
+        check_maps(**{key: evaluation[key] for key in ("figures", "reached")}, key="evaluation")
     logger = settings["logger"]
     logger = logger if logger.pop("enabled") else None
     out = (Path(settings["out"]) if settings["out"] else default_folder(wanted, checkpoints)) / label
@@ -149,6 +153,8 @@ def evaluate(
     animation: Mapping[str, int],
     film: str | None,
     paraview: bool,
+    maps: bool,
+    reached: float | None,
     save_trajectories: bool,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Judge a checkpoint on scenes and write everything into one folder.
@@ -177,6 +183,8 @@ def evaluate(
         animation: `num_frames` and `width` [pixels].
         film: "mp4" or "gif" for a film and a still of every scene in three dimensions; None for neither.
         paraview: write a series for ParaView of rollouts and references.
+        maps: write rasters, outlines and map figures of both.
+        reached: thickness from which on a cell of a map counts as reached [m]; None for the usual one.
         save_trajectories: write rollouts and references as HDF5.
 
     Returns:
@@ -185,7 +193,7 @@ def evaluate(
     Raises:
         InputError: a checkpoint, a scene or a folder that cannot be used.
     """
-    from gns_pl.evaluation import report
+    from gns_pl.evaluation import exports, report
     from gns_pl.evaluation.references import reference_of, stored_references
     from gns_pl.models.checkpoint import load_checkpoint, move
     from gns_pl.models.geoelements import cold_start
@@ -221,6 +229,8 @@ def evaluate(
     for key, scene in built.items():
         if scene.obstacles:  # said here, before minutes of MPM
             raise InputError(f"scene {key!r} has obstacles, and a learned simulator knows no obstacles yet.")
+        if scene.terrain is not None:
+            raise InputError(refused_terrain(f"scene {key!r}", "a learned simulator"))
         frames = stored[key].trajectory.num_frames if key in stored else round(scene.duration / config.dt) + 1
         if frames <= given:
             raise InputError(f"scene {key!r} has {frames} frames, too few to go on from {given} (evaluation.start).")
@@ -228,6 +238,8 @@ def evaluate(
         if sliced.description:
             print(f"{key}: judged in two dimensions, {sliced.description}")
         built[key] = sliced.scene
+        if maps:
+            check_mapped_scene(sliced.scene)
     make_folder(out)
     move(checkpoint, device, "evaluation.device")
     print(report.describe_start(config.to_dict(), given))
@@ -252,9 +264,11 @@ def evaluate(
         files.append(out / f"curves_{key}.csv")
         write_curves(files[-1], result.curves)
         if save_trajectories:
-            files += _write_trajectories(key, result, out)
+            files += exports.write_trajectories(key, result, out)
         if paraview:
-            files += _write_paraview(key, result, out)
+            files += exports.write_paraview_series(key, result, out)
+        if maps:
+            files += exports.write_all_maps(key, result, out, figures=figures, reached=reached)
     document = report.document(name, checkpoint, {key: result.report for key, result in results.items()})
     files = [*report.write(document, out), *files]
     if figures:
@@ -269,26 +283,3 @@ def evaluate(
             files += draw_in_space(results, out, film=film, **animation)
     report.show(document)
     return document, files
-
-
-def _write_trajectories(name: str, result: SceneResult, out: Path) -> list[Path]:
-    from gns_pl.io import write_trajectory
-
-    paths = []
-    for key, trajectory in result.trajectories.items():
-        paths.append(out / f"{key}_{name}.h5")
-        write_trajectory(paths[-1], trajectory)
-    return paths
-
-
-def _write_paraview(name: str, result: SceneResult, out: Path) -> list[Path]:
-    from gns_pl.viz import write_paraview
-
-    truth = result.trajectories["reference"]
-    paths = []
-    for key, trajectory in result.trajectories.items():
-        reference = cut(truth, trajectory.num_frames) if key != "reference" else None
-        folder = out / "paraview"
-        folder.mkdir(exist_ok=True)
-        paths.append(write_paraview(folder, trajectory, name=f"{key}_{name}", reference=reference))
-    return paths

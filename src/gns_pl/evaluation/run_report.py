@@ -16,6 +16,7 @@ from gns_pl import __version__
 from gns_pl.errors import InputError
 from gns_pl.evaluation import report
 from gns_pl.evaluation.checks import check_figures, check_space, make_folder
+from gns_pl.evaluation.maps import CAPTIONS, check_maps, maps_of, write_maps
 from gns_pl.evaluation.outcome import Outcome, outcome_of
 from gns_pl.io.atomic import write_atomically
 from gns_pl.metrics.curves import Curves, compute_curves, mobile, write_curves
@@ -50,18 +51,28 @@ class ReportedRun:
     reference: Trajectory | None = None
 
 
-def check_reporting(*, figures: bool, film: str | None, paraview: bool, key: str) -> None:
+CHECKED = ("figures", "film", "paraview", "maps", "reached")
+"""Settings that `check_reporting` looks at."""
+
+
+def check_reporting(
+    *, figures: bool, film: str | None, paraview: bool, maps: bool, reached: float | None, key: str
+) -> None:
     """Refuse what cannot be drawn, before anything is run.
 
     Args:
         figures: are wanted.
         film: ending of the film, or None.
         paraview: a series is wanted.
+        maps: are wanted.
+        reached: as of `check_maps`.
         key: of these settings on the command line, for messages.
 
     Raises:
         InputError: packages that are missing, or an unknown film.
     """
+    if maps:
+        check_maps(figures=figures, reached=reached, key=key)
     if film not in FILMS:
         raise InputError(f"{key}.film must be mp4, gif or null, not {film!r}.")
     if figures:
@@ -79,6 +90,8 @@ def write_report(
     animation: Mapping[str, int] | None = None,
     film: str | None = None,
     paraview: bool = False,
+    maps: bool = False,
+    reached: float | None = None,
 ) -> list[Path]:
     """Write everything about runs into a folder and return the files.
 
@@ -90,6 +103,8 @@ def write_report(
         animation: `num_frames` and `width` [pixels].
         film: "mp4" or "gif" for a film and a still in three dimensions; None for neither.
         paraview: write a series for ParaView.
+        maps: write rasters, outlines and map figures.
+        reached: thickness from which on a cell of a map counts as reached [m]; None for the usual one.
 
     Raises:
         InputError: a folder that cannot be written.
@@ -112,6 +127,10 @@ def write_report(
 
             (out / "paraview").mkdir(exist_ok=True)
             files.append(write_paraview(out / "paraview", run.trajectory, name=name))
+        if maps:
+            made = maps_of(run.trajectory, reached=reached)
+            title, scene = f"{name}: {run.solver}", run.trajectory.scene
+            files += write_maps(made, scene, out / "maps", name=name, title=title, figures=figures)
     drawn = {name: run for name, run in runs.items() if name in curves}
     if figures and drawn:
         files += _draw(drawn, curves, out, snapshots, **pictures)
@@ -170,6 +189,7 @@ def _page(content: Mapping[str, Any], runs: Mapping[str, ReportedRun], out: Path
                 _figure(out / f"evolution_{name}.png", "Snapshots, coloured by displacement"),
                 _figure(out / f"still_{name}.png", "The end in three dimensions"),
                 _figure(out / f"{name}.gif", "The whole run"),
+                *(_figure(out / "maps" / f"{name}_{ending}.png", text) for ending, text in CAPTIONS.items()),
             ],
             "provenance": [(key, str(value)) for key, value in scene["made_by"].items()],
         }

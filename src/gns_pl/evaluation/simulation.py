@@ -13,8 +13,9 @@ import numpy as np
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.chart.observed import Observed
+from gns_pl.evaluation.maps import map_rows, maps_of, write_maps
 from gns_pl.evaluation.outcome import Outcome, read_outcome
-from gns_pl.evaluation.run_report import ReportedRun, check_reporting, report_lines, write_report
+from gns_pl.evaluation.run_report import CHECKED, ReportedRun, check_reporting, report_lines, write_report
 from gns_pl.io import read_header, read_trajectory, read_window
 from gns_pl.metrics.maps import map_error
 from gns_pl.solvers.reduction import reduce_scene
@@ -31,17 +32,23 @@ def simulate_and_describe(cfg: DictConfig, *, label: str = "") -> list[Path]:
         label: what tells this job from the others of a sweep; it goes into the names of the files.
 
     Returns:
-        The trajectory files.
+        The trajectory files; none of an ensemble.
     """
     from omegaconf import OmegaConf
 
     reporting: dict[str, Any] = OmegaConf.to_container(cfg.reporting, resolve=True)  # type: ignore[assignment]
+    reporting["maps"] = cfg.maps
     wanted = bool(cfg.report or reporting["film"] or reporting["paraview"])
-    if wanted:
-        keys = ("figures", "film", "paraview")
-        check_reporting(**{key: reporting[key] for key in keys}, key="reporting")
+    if wanted or cfg.maps:
+        check_reporting(**{key: reporting[key] for key in CHECKED}, key="reporting")
     from gns_pl.solvers.simulate import simulate_config
 
+    if cfg.ensemble.vary:
+        from gns_pl.evaluation.ensemble import run_ensemble
+
+        settings: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+        run_ensemble(settings, label)
+        return []
     paths = simulate_config(cfg, label=label)
     # Of several processes that torchrun has started the first describes.
     if os.environ.get("WORLD_SIZE", "1") != "1" and os.environ.get("RANK", "0") != "0":
@@ -50,12 +57,14 @@ def simulate_and_describe(cfg: DictConfig, *, label: str = "") -> list[Path]:
         describe(path)
         if cfg.check:
             compare_with_check(path, cfg.tolerance, cfg.tolerance_of)
-    if wanted:
-        for path in paths:
-            try:
+    for path in paths if wanted or cfg.maps else ():
+        try:
+            if wanted:
                 report(path, reporting)
-            except InputError as error:  # the run itself is whole
-                print(f"{path}: no report: {error}")
+            else:
+                write_maps_beside(path, figures=reporting["figures"], reached=reporting["reached"])
+        except InputError as error:  # the run itself is whole
+            print(f"{path}: no {'report' if wanted else 'maps'}: {error}")
     return paths
 
 
@@ -120,12 +129,25 @@ def report(path: Path, reporting: Mapping[str, Any]) -> list[Path]:
         reporting: as `run_report.write_report`.
     """
     trajectory = read_trajectory(path)
-    provenance = trajectory.provenance
-    solver = str(provenance.get("checkpoint", provenance.get("solver", "")))
-    files = write_report(
-        {path.stem: ReportedRun(trajectory, Path(solver).stem if "checkpoint" in provenance else solver)},
-        path.with_suffix(""),
-        **reporting,
-    )
+    run = ReportedRun(trajectory, _solver_name(trajectory.provenance))
+    files = write_report({path.stem: run}, path.with_suffix(""), **reporting)
     print("Made:", *files, sep="\n  ")
     return files
+
+
+def write_maps_beside(path: Path, *, figures: bool, reached: float | None) -> list[Path]:
+    """Write the maps of the run in a file into the folder of its report; arguments as those of `write_report`."""
+    header, maps = read_header(path), maps_of(path, reached=reached)
+    print(*report_lines(map_rows(maps, header.scene)), sep="\n")
+    title = f"{path.stem}: {_solver_name(header.provenance)}"
+    folder = path.with_suffix("") / "maps"
+    files = write_maps(maps, header.scene, folder, name=path.stem, title=title, figures=figures)
+    print("Made:", *files, sep="\n  ")
+    return files
+
+
+def _solver_name(provenance: Mapping[str, object]) -> str:
+    """Return the name of the solver that made a run."""
+    if "checkpoint" in provenance:
+        return Path(str(provenance["checkpoint"])).stem
+    return str(provenance.get("solver", ""))

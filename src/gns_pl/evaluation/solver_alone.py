@@ -8,9 +8,10 @@ from typing import Any
 
 from gns_pl.errors import InputError
 from gns_pl.evaluation.checks import default_folder, named_checkpoints
+from gns_pl.evaluation.maps import check_mapped_scene
 from gns_pl.evaluation.outcome import outcome_of
 from gns_pl.evaluation.references import resolution_spread
-from gns_pl.evaluation.run_report import ReportedRun, check_reporting, report_lines, write_report
+from gns_pl.evaluation.run_report import CHECKED, ReportedRun, check_reporting, report_lines, write_report
 from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.generation import reference_trajectory
 from gns_pl.metrics.summary import Measured
@@ -18,7 +19,7 @@ from gns_pl.scene import Scene
 from gns_pl.scene.extent import compression_notice
 from gns_pl.solvers.mpm import MPMSolver
 
-REPORTING = ("figures", "snapshots", "animation", "film", "paraview")
+REPORTING = ("figures", "snapshots", "animation", "film", "paraview", "maps", "reached")
 """Keys of an evaluation that say what is drawn."""
 
 
@@ -42,7 +43,7 @@ def evaluate_mpm(settings: Mapping[str, Any], label: str = "") -> dict[str, Repo
         raise InputError("evaluation.split names trajectories of a data set; solver=mpm runs columns or scenes.")
     if isinstance(ckpt, list):
         raise InputError("solver=mpm takes one ckpt, whose data's material, walls and MPM settings are used, or none.")
-    check_reporting(**{key: evaluation[key] for key in ("figures", "film", "paraview")}, key="evaluation")
+    check_reporting(**{key: evaluation[key] for key in CHECKED}, key="evaluation")
     interval, data = settings["choice"]["frame_interval"], dict(settings["paper"])
     mpm, out = dict(settings["choice"]["mpm"]), Path("runs/mpm/evaluation")
     if ckpt:
@@ -86,7 +87,10 @@ def configured_scenes(evaluation: Mapping[str, Any], interval: float, data: Mapp
     """
     keys = ("only", "domain", "duration")
     settings = {key: evaluation[key] for key in keys}
-    return build_scenes(evaluation["columns"], evaluation["scenes"], interval=interval, data=data, **settings)
+    scenes = build_scenes(evaluation["columns"], evaluation["scenes"], interval=interval, data=data, **settings)
+    for scene in scenes.values() if evaluation["maps"] else ():
+        check_mapped_scene(scene)
+    return scenes
 
 
 def _of_checkpoint(ckpt: str) -> tuple[dict[str, Any], float, Path]:

@@ -32,16 +32,19 @@ class GenerationProgress:
         work: file name → work in it, for the files still to be simulated; any unit.
         num_workers: as many results must be in before the time left is told.
         enabled: show anything at all.
+        noun: what the work makes.
     """
 
-    def __init__(self, name: str, work: Mapping[str, float], num_workers: int, *, enabled: bool) -> None:
-        self._name, self._work, self._num_workers = name, work, num_workers
+    def __init__(
+        self, name: str, work: Mapping[str, float], num_workers: int, *, enabled: bool, noun: str = "trajectories"
+    ) -> None:
+        self._name, self._work, self._num_workers, self._noun = name, work, num_workers, noun
         self._enabled = enabled
         self._console = Console(stderr=True, highlight=False, soft_wrap=True)
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
-            TextColumn("{task.completed:.0f} of {task.total:.0f} trajectories"),
+            TextColumn("{task.completed:.0f} of {task.total:.0f} " + noun),
             TimeElapsedColumn(),
             _TimeLeft(self),
         )
@@ -80,7 +83,7 @@ class GenerationProgress:
         first, self._estimate = self._estimate is None, (now, seconds)
         if first or (not self._console.is_terminal and now - self._last_line > LINE_INTERVAL):
             self._last_line = now
-            self.log(f"{self._name}: {left} trajectories left, about {readable_time(seconds)}.")
+            self.log(f"{self._name}: {left} {self._noun} left, about {readable_time(seconds)}.")
 
     def time_left(self) -> float | None:
         """Return the time left [s], None if it is not known yet."""

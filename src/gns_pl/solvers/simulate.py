@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gns_pl.errors import InputError
+from gns_pl.io.raster import read_crs, scene_crs
 from gns_pl.io.stream import add_provenance
-from gns_pl.models.shipped import existing_checkpoint
+from gns_pl.metrics.rasters import check_mappable
 from gns_pl.rollout.policy import Policy
 from gns_pl.scene import Scene
-from gns_pl.scene.changes import decoded
 from gns_pl.scene.extent import compression_notice
 from gns_pl.solvers.catalogue import load_solver, make_solvers
+from gns_pl.solvers.configured import checkpoint_solver, configured_scenes
 from gns_pl.solvers.folder import alone, prepare
 from gns_pl.solvers.mpm import FRAME_INTERVAL, MPMSolver
-from gns_pl.solvers.named_scene import named_scene
 from gns_pl.solvers.selection import (
     RECORDS,
     WORSE,
@@ -80,14 +80,11 @@ def simulate_config(cfg: DictConfig, *, label: str = "") -> list[Path]:
     if cell_size is not None and not solver:
         raise InputError("cell_size= is that of solver=mpm; tolerance= chooses among choice.cells.")
     policy = Policy(settings["stabilise"], settings["acceleration"], settings["rest_speed"])
-    of_ckpt = _of_checkpoint(ckpt, policy, settings["device"], choice) if ckpt else None
-    changes = decoded(settings["changes"])
-    scenes = [
-        named_scene(name, settings["catalogue"], changes, label)
-        for name in ([named] if isinstance(named, str) else named)
-    ]
-    if settings["duration"] is not None:
-        scenes = [scene.replace(duration=settings["duration"]) for scene in scenes]
+    of_ckpt = checkpoint_solver(ckpt, policy, settings["device"], choice) if ckpt else None
+    scenes = configured_scenes(settings, label)
+    for scene in scenes if settings["maps"] else ():
+        check_mappable(scene)
+        read_crs(scene_crs(scene))
     how: dict[str, Any] = {"out": Path(settings["out"]), "seed": settings["seed"], "monitor": settings["monitor"]}
     if of_ckpt is not None:
         return simulate(of_ckpt, scenes, interval=choice["frame_interval"], **how)
@@ -226,30 +223,6 @@ def simulate(
 def check_path(path: Path) -> Path:
     """Return where the run on coarser cells is, beside the run that it checks."""
     return path.with_suffix(".coarser.h5")
-
-
-def _of_checkpoint(ckpt: str, policy: Policy, device: str, choice: Mapping[str, Any]) -> Solver:
-    """Return the solver that `ckpt=` names: a checkpoint, a corrector, or a hybrid of the choice."""
-    import torch
-
-    solver = load_solver(existing_file(ckpt, choice), policy=policy, choice=choice)
-    if device == "auto" and solver.group == "learned" and torch.cuda.is_available():
-        device = "cuda"
-    return solver.on(device)
-
-
-def existing_file(ckpt: str, choice: Mapping[str, Any]) -> str:
-    """Return what `ckpt=` names, if it is there.
-
-    Raises:
-        InputError: it is not; names that may have been meant are told.
-    """
-    from gns_pl.models.shipped import corrector_names, find_corrector, is_corrector
-
-    hybrids = choice.get("hybrid") or {}
-    if ckpt not in hybrids and not (is_corrector(ckpt) and find_corrector(ckpt).is_file()):
-        existing_checkpoint(ckpt, [*corrector_names(), *hybrids])
-    return ckpt
 
 
 def _choose(

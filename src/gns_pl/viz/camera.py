@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
-from gns_pl.scene import Plane, Scene
+from gns_pl.scene import Plane, Scene, Terrain
 from gns_pl.scene.extent import characteristic_time
 from gns_pl.trajectory import Trajectory
 from gns_pl.viz.raster import colour_map, displacement
@@ -32,6 +32,9 @@ TOWARDS_EYE = {2: (0.0, -1.0, 0.0), 3: (0.28, -1.0, 0.42)}
 
 EYE_DISTANCE = 5.0
 """Distance of the eye from the middle of the window, in diagonals of the window: a weak perspective."""
+
+MOST_LINES = 200
+"""Lines of the net that shows a terrain, along each axis."""
 
 SAMPLED_FRAMES = 30
 """The colour scale is that of about so many frames."""
@@ -114,7 +117,7 @@ def grain_diameters(trajectory: Trajectory) -> Floats:
     Where a particle's density is open or its volume nothing, it is that of the mean particle.
     """
     scene = trajectory.scene
-    bodies = sum(math.prod(body.size) for body in scene.bodies)
+    bodies = sum(body.volume for body in scene.bodies)
     mean = bodies / max(int((trajectory.particle_type != ParticleType.KINEMATIC).sum()), 1)
     try:
         volume = trajectory.volume().astype(np.float64)
@@ -141,6 +144,7 @@ def window_of(trajectories: Sequence[Trajectory]) -> Window:
     heights = [trajectory.position[..., -1] for trajectory in trajectories]
     tops = [float(height[np.isfinite(height)].max(initial=scene.lower[-1])) for height in heights]
     tops += [obstacle.upper[-1] for obstacle in scene.obstacles if not isinstance(obstacle, Plane)]
+    tops += [float(scene.terrain.heights.max())] if scene.terrain is not None else []
     height = max(tops) + diameter - scene.lower[-1]
     step = 10 ** math.floor(math.log10(height)) / 2
     top = min(scene.upper[-1], scene.lower[-1] + math.ceil(height / step) * step)
@@ -172,10 +176,10 @@ def camera_of(window: Window, dim: int, margin: float = 0.03) -> Camera:
 
 
 def obstacle_solids(scene: Scene, window: Window) -> list[tuple[Floats, NDArray[np.int64]]]:
-    """Return the obstacles, cut to the window, as points [M, 3] [m] and triangles [F, 3] of a convex surface."""
+    """Return ground and obstacles (convex), cut to the window, as points [M, 3] [m] and triangles [F, 3]."""
     from scipy.spatial import ConvexHull
 
-    solids = []
+    solids = [] if scene.terrain is None else [_ground(scene.terrain, window)]
     for obstacle in scene.obstacles:
         if isinstance(obstacle, Plane):
             points = _behind(window, in_space(np.array([obstacle.point]))[0], in_space(np.array([obstacle.normal]))[0])
@@ -189,6 +193,18 @@ def obstacle_solids(scene: Scene, window: Window) -> list[tuple[Floats, NDArray[
             continue  # the window has nothing of it
         solids.append((points, np.asarray(ConvexHull(points).simplices, dtype=np.int64)))
     return solids
+
+
+def _ground(terrain: Terrain, window: Window) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the surface of a terrain in a window, as points [M, 3] [m] and triangles [F, 3]."""
+    counts = [min(MOST_LINES, number + 1) for number in (*terrain.heights.shape, 1)[:2]]
+    lines = [np.linspace(window.lower[axis], window.upper[axis], number) for axis, number in enumerate(counts)]
+    x, y = (each.ravel() for each in np.meshgrid(*lines, indexing="ij"))
+    height = terrain.height(np.column_stack([x, y])[:, : terrain.heights.ndim])
+    points = np.column_stack([x, y, np.clip(height, window.lower[2], window.upper[2])])
+    number = np.arange(len(points)).reshape(counts)
+    a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    return points, np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
 
 
 def _behind(window: Window, point: Floats, normal: Floats) -> Floats:

@@ -20,8 +20,12 @@ from numpy.typing import NDArray
 
 from gns_pl.errors import InputError
 from gns_pl.io.atomic import remove_temporary_files, write_atomically
+from gns_pl.scene import Scene
 from gns_pl.trajectory import Trajectory
 from gns_pl.viz.camera import in_space
+
+CELLS = ("Verts", "Lines", "Strips", "Polys")
+"""Kinds of cells that a file of points may hold."""
 
 Array = NDArray[np.float32] | NDArray[np.float64] | NDArray[np.int32]
 
@@ -30,6 +34,8 @@ def write_paraview(
     folder: str | Path, trajectory: Trajectory, *, name: str, reference: Trajectory | None = None, every: int = 1
 ) -> Path:
     """Write `name`.pvd and its frames `name`_00000.vtp, `name`_00001.vtp, … into `folder`.
+
+    A scene's terrain is in `name`_ground.vtp, a surface with its `height` [m], and part of every frame.
 
     Every frame holds the points [m] with `velocity` [m/s] (backward differences), `displacement` from frame 0 [m],
     `speed` [m/s], `mass` [kg], `particle_type`, each material feature and, with a reference, `error` = x − x_ref [m].
@@ -63,9 +69,11 @@ def write_paraview(
     for frame, file in files.items():
         arrays = _arrays(trajectory, frame, reference)
         write_atomically(folder / file, _poly_data(_points(trajectory, frame), arrays))
+    ground = _write_ground(folder, trajectory.scene, f"{name}_ground.vtp")
     entries = "".join(
-        f'    <DataSet timestep="{frame * trajectory.dt:.10g}" part="0" file={quoteattr(file)}/>\n'
-        for frame, file in files.items()
+        f'    <DataSet timestep="{frame * trajectory.dt:.10g}" part="{part}" file={quoteattr(file)}/>\n'
+        for frame, points in files.items()
+        for part, file in enumerate((points, *ground))
     )
     text = f'<VTKFile type="Collection" version="0.1">\n  <Collection>\n{entries}  </Collection>\n</VTKFile>\n'
     write_atomically(index, f'<?xml version="1.0"?>\n{text}'.encode())
@@ -92,9 +100,33 @@ def _check(trajectory: Trajectory, name: str, reference: Trajectory | None, ever
         )
 
 
+def _write_ground(folder: Path, scene: Scene, file: str) -> list[str]:
+    """Write a scene's terrain and return the names of its files; one of an earlier scene is removed."""
+    (folder / file).unlink(missing_ok=True)
+    terrain = scene.terrain
+    if terrain is None:
+        return []
+    places = [low + terrain.cell * np.arange(n) for low, n in zip(terrain.corner, terrain.heights.shape, strict=True)]
+    points = np.stack([*np.meshgrid(*places, indexing="ij"), terrain.heights], axis=-1).reshape(-1, scene.dim)
+    number = np.arange(len(points), dtype=np.int32).reshape(terrain.heights.shape)
+    if scene.dim == 2:
+        cells = np.stack([number[:-1], number[1:]], axis=-1)
+    else:
+        corners = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+        cells = np.stack(corners, axis=-1).reshape(-1, 4)
+    placed = _placed(in_space(points), np.array(scene.origin))
+    kind = "Lines" if scene.dim == 2 else "Polys"
+    write_atomically(folder / file, _poly_data(placed, {"height": placed[:, 2]}, cells, kind))
+    return [file]
+
+
 def _points(trajectory: Trajectory, frame: int) -> Array:
     """Return the positions of a frame with the scene's origin [N, 3] [m]."""
-    origin, points = np.array(trajectory.scene.origin), in_space(trajectory.position[frame])
+    return _placed(in_space(trajectory.position[frame]), np.array(trajectory.scene.origin))
+
+
+def _placed(points: Array, origin: NDArray[np.float64]) -> Array:
+    """Return points [N, 3] with the scene's origin [D] [m], in float64 where there is one."""
     if not origin.any():
         return points
     axes = (0, 2) if len(origin) == 2 else (0, 1, 2)
@@ -122,9 +154,11 @@ def _arrays(trajectory: Trajectory, frame: int, reference: Trajectory | None) ->
     return arrays
 
 
-def _poly_data(points: Array, arrays: Mapping[str, Array]) -> bytes:
-    """Return the content of a .vtp file: points [N, 3], a vertex each, and what they carry."""
-    number = len(points)
+def _poly_data(
+    points: Array, arrays: Mapping[str, Array], cells: NDArray[np.int32] | None = None, kind: str = "Verts"
+) -> bytes:
+    """Return the content of a .vtp file: points [N, 3], what they carry, and cells of them [C, K]; None: one each."""
+    cells = np.arange(len(points), dtype=np.int32)[:, None] if cells is None else cells
     blocks: list[bytes] = []
     offset = 0
 
@@ -144,15 +178,16 @@ def _poly_data(points: Array, arrays: Mapping[str, Array]) -> bytes:
 
     of_points = "".join(declare(array, name) for name, array in arrays.items())
     places = declare(points, "Points")
-    count = np.arange(number + 1, dtype=np.int32)
-    vertices = declare(count[:-1], "connectivity") + declare(count[1:], "offsets")
+    ends = cells.shape[1] * np.arange(1, len(cells) + 1, dtype=np.int32)
+    listed = declare(cells.ravel(), "connectivity") + declare(ends, "offsets")
+    numbers = " ".join(f'NumberOf{each}="{len(cells) if each == kind else 0}"' for each in CELLS)
+    shown = 'Vectors="velocity" Scalars="speed"' if "speed" in arrays else f'Scalars="{next(iter(arrays))}"'
     header = (
         '<?xml version="1.0"?>\n'
         '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
-        f'<PolyData>\n<Piece NumberOfPoints="{number}" NumberOfVerts="{number}" NumberOfLines="0" '
-        'NumberOfStrips="0" NumberOfPolys="0">\n'
-        f'<PointData Vectors="velocity" Scalars="speed">\n{of_points}</PointData>\n'
-        f"<Points>\n{places}</Points>\n<Verts>\n{vertices}</Verts>\n"
+        f'<PolyData>\n<Piece NumberOfPoints="{len(points)}" {numbers}>\n'
+        f"<PointData {shown}>\n{of_points}</PointData>\n"
+        f"<Points>\n{places}</Points>\n<{kind}>\n{listed}</{kind}>\n"
         '</Piece>\n</PolyData>\n<AppendedData encoding="raw">\n_'
     )
     return header.encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n"

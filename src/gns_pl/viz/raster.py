@@ -57,6 +57,7 @@ def side_window(trajectories: Sequence[Trajectory], diameter: float) -> tuple[tu
     scene = trajectories[0].scene
     top = max(float(trajectory.position[:, :, -1].max()) for trajectory in trajectories) + 1.5 * diameter
     blocks = [obstacle.upper[-1] + diameter for obstacle in scene.obstacles if isinstance(obstacle, Box)]
+    blocks += [float(scene.terrain.heights.max())] if scene.terrain is not None else []
     top = max(top, *blocks) if blocks else top
     top = min(max(top, scene.lower[-1] + 2 * diameter), scene.upper[-1])
     return (scene.lower[0], scene.lower[-1]), (scene.upper[0], top)
@@ -65,15 +66,16 @@ def side_window(trajectories: Sequence[Trajectory], diameter: float) -> tuple[tu
 def obstacle_outlines(
     scene: Scene, lower: tuple[float, float], upper: tuple[float, float]
 ) -> list[NDArray[np.float64]]:
-    """Return the obstacles as seen from the side, cut to a window: corners [M, 2] [m] of a convex polygon each.
+    """Return the obstacles as seen from the side, cut to a window: corners [M, 2] [m] of a polygon each.
 
     Args:
-        scene: in two or three dimensions; a plane that is inclined across the view is cut in the middle of the box.
+        scene: in two or three dimensions; a plane that is inclined across the view, and a terrain, are cut in the
+            middle of the box.
         lower: x and z of the window's lower left corner [m].
         upper: x and z of its upper right corner [m].
     """
     window = np.array([lower, (lower[0], upper[1]), upper, (upper[0], lower[1])], dtype=np.float64)
-    outlines = []
+    outlines = [] if scene.terrain is None else [_profile(scene, lower, upper)]
     for obstacle in scene.obstacles:
         if isinstance(obstacle, Plane):
             middle = (np.array(scene.lower) + scene.upper) / 2
@@ -88,6 +90,16 @@ def obstacle_outlines(
         if len(outline) > 2:
             outlines.append(outline)
     return outlines
+
+
+def _profile(scene: Scene, lower: tuple[float, float], upper: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the ground in a vertical plane along x through the middle of the box [M, 2] [m]."""
+    assert scene.terrain is not None
+    places = np.tile((np.array(scene.lower) + scene.upper) / 2, (400, 1))
+    places[:, 0] = np.linspace(lower[0], upper[0], len(places))
+    surface = np.clip(scene.terrain.height(places[:, :-1]), lower[1], upper[1])
+    line = np.column_stack([places[:, 0], surface])
+    return np.concatenate([line, [[upper[0], lower[1]], [lower[0], lower[1]]]])
 
 
 def _behind(corners: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
