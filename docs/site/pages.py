@@ -29,7 +29,7 @@ LOG = logging.getLogger("mkdocs.hooks.pages")
 
 NAVIGATION = {
     "Guide": (
-        *("quickstart", "commands", "python", "simulate", "scenes", "training", "data", "evaluation"),
+        *("quickstart", "commands", "python", "simulate", "scenes", "terrain", "training", "data", "evaluation"),
         *("retuned", "inverse", "formats", "export", "extend"),
     ),
     "Measured": (
