@@ -19,7 +19,7 @@ from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_manifest, read_static, read_trajectory
-from gns_pl.scene.terrain import refused_terrain
+from gns_pl.scene.refusals import check_bare
 from gns_pl.trajectory import Trajectory
 
 
@@ -140,10 +140,7 @@ class TrajectoryDataModule(LightningDataModule):
         for name in self.manifest.splits["valid"]:
             path = self.directory / name
             first = read_trajectory(path, num_frames=1)
-            if first.scene.obstacles:
-                raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
-            if first.scene.terrain is not None:
-                raise InputError(refused_terrain(f"{path}: its scene", "a learned simulator"))
+            check_bare(f"{path}: its scene", first.scene)
             if read_header(path).num_frames > self.stride:
                 usable.append(name)
         self.valid_names, listed = tuple(usable), self.manifest.splits["valid"]

@@ -20,7 +20,7 @@ from gns_pl.data.survey_record import MOVING_SHARE, SPEED_AT_REST
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_trajectory, read_window
-from gns_pl.scene.terrain import refused_terrain
+from gns_pl.scene.refusals import check_bare
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 
@@ -73,10 +73,7 @@ class WindowDataset(Dataset[Data]):
             trajectory = read_trajectory(path, num_frames=None if in_memory else 1)
             if num_frames <= self.behind:
                 raise InputError(f"{path}: has {num_frames} frames; a window needs at least {self.behind + 1}.")
-            if trajectory.scene.obstacles:
-                raise InputError(f"{path}: its scene has obstacles, and a learned simulator knows no obstacles yet.")
-            if trajectory.scene.terrain is not None:
-                raise InputError(refused_terrain(f"{path}: its scene", "a learned simulator"))
+            check_bare(f"{path}: its scene", trajectory.scene)
             repeats = np.ones(num_frames - 1, dtype=int)
             if start_repeats > 1 or moving_repeats > 1:
                 speeds = _speeds(trajectory if in_memory else read_trajectory(path))

@@ -20,7 +20,7 @@ from gns_pl.evaluation.judge import judge_scene
 from gns_pl.evaluation.maps import check_mapped_scene, check_maps
 from gns_pl.evaluation.scenes import build_scenes, chosen
 from gns_pl.metrics.curves import write_curves
-from gns_pl.scene.terrain import refused_terrain
+from gns_pl.scene.refusals import check_bare
 from gns_pl.text import command
 
 if TYPE_CHECKING:
@@ -227,10 +227,7 @@ def evaluate(
         interval, data = config.dt, checkpoint.data
         built = build_scenes(columns, scenes, only=only, domain=domain, duration=duration, interval=interval, data=data)
     for key, scene in built.items():
-        if scene.obstacles:  # said here, before minutes of MPM
-            raise InputError(f"scene {key!r} has obstacles, and a learned simulator knows no obstacles yet.")
-        if scene.terrain is not None:
-            raise InputError(refused_terrain(f"scene {key!r}", "a learned simulator"))
+        check_bare(f"scene {key!r}", scene)  # said here, before minutes of MPM
         frames = stored[key].trajectory.num_frames if key in stored else round(scene.duration / config.dt) + 1
         if frames <= given:
             raise InputError(f"scene {key!r} has {frames} frames, too few to go on from {given} (evaluation.start).")

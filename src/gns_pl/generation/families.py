@@ -20,7 +20,7 @@ from gns_pl.generation.spec import FROM_FILES, DatasetSpec, whole_number
 from gns_pl.io import SPLITS
 from gns_pl.scene import Material, Scene, Wall, part_from_dict, scene_from_dict
 from gns_pl.scene.catalogue import checked_range
-from gns_pl.scene.terrain import refused_terrain
+from gns_pl.scene.refusals import refused_terrain
 
 _SCENES, _SPLITS, _OFFSETS = 0, 1, 2  # which of a family's random streams
 

@@ -24,7 +24,7 @@ from gns_pl.models.config import SimulatorConfig
 from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.stepper import Stepper
-from gns_pl.scene.terrain import refused_terrain
+from gns_pl.scene.refusals import check_bare
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 
@@ -86,10 +86,7 @@ def check_run(run: Run, config: SimulatorConfig) -> None:
     start = run.start
     if start.scene.dim != config.dim:
         raise InputError(f"this simulator has {config.dim} dimensions, scene {start.scene.name!r} {start.scene.dim}.")
-    if start.scene.obstacles:
-        raise InputError(f"scene {start.scene.name!r} has obstacles, and a learned simulator knows no obstacles yet.")
-    if start.scene.terrain is not None:
-        raise InputError(refused_terrain(f"scene {start.scene.name!r}", "a learned simulator"))
+    check_bare(f"scene {start.scene.name!r}", start.scene)
     if start.material_features[: len(config.material_features)] != config.material_features:
         raise InputError(
             f"this simulator needs the material features {list(config.material_features)}, "

@@ -184,16 +184,6 @@ class Terrain:
         return distance, normal
 
 
-def refused_terrain(owner: str, what: str) -> str:
-    """Return the sentence with which those who know no terrain refuse a scene that has one.
-
-    Args:
-        owner: the scene, as "scene 'hill'".
-        what: who refuses, as "a learned simulator".
-    """
-    return f"{owner} has a terrain, which {what} does not take; use solver=mpm or shallow."
-
-
 def check_resolved(
     owner: str,
     heights: Floats,

@@ -16,7 +16,7 @@ from gns_pl.models.corrector import CorrectorFile, load_corrector
 from gns_pl.models.shipped import find_corrector
 from gns_pl.mpm.settings import solver_config, solver_version
 from gns_pl.scene import Scene
-from gns_pl.scene.terrain import refused_terrain
+from gns_pl.scene.refusals import refused_terrain
 from gns_pl.solvers.correction import CoarseStart, coarse_solver, corrected_frames, corrected_run
 from gns_pl.solvers.recording import Recording
 from gns_pl.solvers.reduction import Reduction, halve_scene

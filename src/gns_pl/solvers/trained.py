@@ -11,7 +11,7 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.generation import chosen_every
 from gns_pl.scene import Particles, Scene, fill_scene
-from gns_pl.scene.terrain import refused_terrain
+from gns_pl.scene.refusals import check_bare
 from gns_pl.solvers.reduction import Reduction, not_plane_reason, to_plane
 from gns_pl.solvers.solver import Solver
 from gns_pl.solvers.training_range import out_of_range
@@ -62,10 +62,7 @@ class TrainedSolver(Solver):
         Raises:
             InputError: it cannot be run at all.
         """
-        if scene.obstacles:
-            raise InputError(f"scene {scene.name!r} has obstacles, and a learned simulator knows no obstacles yet.")
-        if scene.terrain is not None:
-            raise InputError(refused_terrain(f"scene {scene.name!r}", self.name))
+        check_bare(f"scene {scene.name!r}", scene, self.name)
         return reduction_for(scene, self.dim)
 
     def size(self, scene: Scene) -> tuple[int, int]:
