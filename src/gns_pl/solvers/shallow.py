@@ -97,12 +97,16 @@ class ShallowSolver(Solver):
         return reduce_scene(scene)
 
     def cost(self, scene: Scene) -> float:
-        """Return the number of cells × the number of steps, of surface waves on the highest body."""
+        """Return the number of cells × the number of steps, of waves on the highest body and falls on a terrain."""
         reduced_scene = self.reduced(scene).scene
         cell = self.cell_size(scene)
         lengths = [high - low for low, high in zip(reduced_scene.lower, reduced_scene.upper, strict=True)][:-1]
-        height = max(body.upper[-1] for body in reduced_scene.bodies) - reduced_scene.lower[-1]
-        wave = math.sqrt(math.hypot(*scene.gravity) * height)
+        gravity, height = math.hypot(*scene.gravity), max(body.upper[-1] for body in reduced_scene.bodies)
+        if scene.terrain is None:
+            wave = math.sqrt(gravity * (height - reduced_scene.lower[-1]))
+        else:  # what slides is faster than its waves
+            thickest = max(body.height for body in scene.bodies)
+            wave = math.sqrt(gravity * thickest) + math.sqrt(2 * gravity * (height - scene.terrain.heights.min()))
         return math.prod(length / cell for length in lengths) * max(1.0, scene.duration * wave / cell)
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:

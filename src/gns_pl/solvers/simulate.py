@@ -21,6 +21,7 @@ from gns_pl.scene.extent import compression_notice
 from gns_pl.solvers.catalogue import load_solver, make_solvers
 from gns_pl.solvers.configured import checkpoint_solver, configured_scenes
 from gns_pl.solvers.folder import alone, prepare
+from gns_pl.solvers.forecast import forecast
 from gns_pl.solvers.mpm import FRAME_INTERVAL, MPMSolver
 from gns_pl.solvers.selection import (
     RECORDS,
@@ -147,6 +148,8 @@ def simulate_by_choice(
             promise = {"tolerance": tolerance, "of": tolerance_of, "expected_error": option.errors.get(tolerance_of)}
             notes.append({} if solver else {"choice": promise})
             _tell_notices(option.solver, scene, check)
+            for line in forecast(option.solver, scene, choice["frame_interval"], records):
+                print(f"{scene.name}: {line}.", flush=True)
     # One object for each solver, so that scenes of one are stepped together.
     on_device = {one.name: one.on(device) for one in chosen}
     if explain or not chosen:

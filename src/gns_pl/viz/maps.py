@@ -24,6 +24,9 @@ PAGE = 6.6
 CONTOURS = 18
 """About so many contours of the ground."""
 
+CLASSES = 6
+"""At most so many colours of a raster."""
+
 STEPS = (1, 2, 5, 10)
 
 MARGIN = 0.25
@@ -197,18 +200,16 @@ def _ticks(number: int) -> Any:
 
 
 def draw_layer(axes: Any, grid: MapGrid, layer: Layer, values: Floats) -> None:
-    """Draw a raster in colour, with its colour bar."""
+    """Draw a raster in steps of colour between round values, with its colour bar."""
+    import matplotlib as mpl
+
     masked = np.ma.masked_invalid(values.T[::-1])
     low, high = layer.limits or (0.0, float(masked.max()) if masked.count() else 1.0)
-    image = axes.imshow(
-        masked,
-        cmap=layer.colours,
-        vmin=low,
-        vmax=high or 1.0,
-        alpha=0.85,
-        extent=_extent(grid),
-    )
-    bar = axes.figure.colorbar(image, ax=axes, shrink=0.8, pad=0.02, aspect=25)
+    levels = _ticks(CLASSES).tick_values(low, high or 1.0)
+    colours = mpl.colormaps[layer.colours]
+    norm = mpl.colors.BoundaryNorm(levels, colours.N)
+    image = axes.imshow(masked, cmap=colours, norm=norm, alpha=0.85, extent=_extent(grid), interpolation="nearest")
+    bar = axes.figure.colorbar(image, ax=axes, shrink=0.8, pad=0.02, aspect=25, spacing="proportional", ticks=levels)
     bar.outline.set_linewidth(0.4)
     axes.set_title(layer.label, loc="left")
     axes.label_outer()

@@ -1,0 +1,72 @@
+"""What is said before a run on a terrain is what the run then has."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gns_pl.mpm.settings import place_points, solver_config
+from gns_pl.scene import Terrain, read_scene
+from gns_pl.solvers.catalogue import load_solver
+from gns_pl.solvers.forecast import LARGE_FILE, forecast
+from gns_pl.solvers.mpm import MPMSolver
+from gns_pl.solvers.selection import RECORDS, read_records
+from gns_pl.solvers.shallow import ShallowSolver
+from gns_pl.solvers.solver import Solver
+from tests.solvers.test_selection import column
+
+SCENE = read_scene(Path(__file__).parents[2] / "scenes/landslide.yaml")
+
+
+def solvers() -> tuple[MPMSolver, ShallowSolver]:
+    mpm, shallow = MPMSolver.preset(cell_size=10.0), load_solver("shallow-k0")
+    assert isinstance(shallow, ShallowSolver)
+    return mpm, shallow
+
+
+def said(solver: Solver, interval: float) -> str:
+    return ". ".join(forecast(solver, SCENE, interval, read_records(RECORDS)))
+
+
+def test_cells_particles_and_frames_are_those_of_the_run() -> None:
+    mpm, shallow = solvers()
+    text = said(mpm, 0.5)
+    size = [high - low for low, high in zip(SCENE.lower, SCENE.upper, strict=True)]
+    cells = [int(number) for number in re.findall(r"(\d+) (?:×|cells)", text.split(" and ")[0])]
+    assert cells == [round(edge / 10) for edge in size] and "cells of 10" in text
+    points = int(re.findall(r"and ([\d,]+) particles", text)[0].replace(",", ""))
+    assert points == pytest.approx(len(place_points(SCENE, mpm.settings_of(SCENE), 0).position), rel=0.05)
+    assert solver_config(mpm.settings_of(SCENE)).cell_size == 10 and "61 frames" in text and "about" in text
+    run = shallow.run(SCENE.replace(duration=1.0), interval=0.5)
+    assert f"{run.num_particles:,} particles" in said(shallow, 0.5)
+    assert f"cells of {SCENE.terrain.cell:g} m" in said(shallow, 0.5)
+
+
+def test_too_many_frames_are_told_with_fewer() -> None:
+    _, shallow = solvers()
+    short = 1e-4
+    text = said(shallow, short)
+    better = float(re.findall(r"frame_interval=([\d.e-]+)", text)[0])
+    number = int(re.findall(r"and ([\d,]+) particles", text)[0].replace(",", ""))
+    assert 0.2 * LARGE_FILE < number * 12 * SCENE.duration / better <= LARGE_FILE
+    assert "frame_interval" not in said(shallow, 0.5)
+
+
+def test_a_plane_stays_as_it_is_and_a_ridge_is_smoothed() -> None:
+    assert SCENE.terrain is not None
+    x = np.arange(SCENE.terrain.heights.shape[0])[:, None]
+    heights = {"plane": 480.0 - 0.5 * x, "ridge": 480.0 - 4.0 * abs(x - 20)}
+    shifts = {}
+    for name, line in heights.items():
+        values = np.broadcast_to(line, SCENE.terrain.heights.shape)
+        terrain = Terrain(values, SCENE.terrain.corner, SCENE.terrain.cell, SCENE.terrain.wall)
+        text = forecast(solvers()[0], SCENE.replace(terrain=terrain), 0.5, [])[1]
+        shifts[name] = float(re.findall(r"by up to (\S+) m", text)[0])
+    assert shifts["plane"] < 1e-9 and shifts["ridge"] > 0.5
+
+
+def test_of_other_scenes_nothing_is_said() -> None:
+    assert forecast(solvers()[0], column(), 0.01, []) == []
