@@ -62,7 +62,7 @@ def forecast(solver: Solver, scene: Scene, interval: float, records: Sequence[Re
         f"{' × '.join(f'{number:,}' for number in needs.cells)} cells of {needs.edge:.3g} m and {needs.particles:,} "
     )
     takes += f"particles: {needs.memory / 1e9:.2g} GB of memory, {written / 1e9:.2g} GB for {frames:,} frames"
-    takes += "" if time is None else f", and about {seconds(time)}, as columns without a terrain have it"
+    takes += "" if time is None else f", and about {seconds(time)}, if a step takes as long as without a terrain"
     size = " × ".join(f"{number:,}" for number in scene.terrain.heights.shape)
     ground = f"ground of {size} heights {scene.terrain.cell:.3g} m apart, as it was cropped and resampled; the cells "
     ground += f"change it by up to {needs.shift:.2g} m"
@@ -71,7 +71,7 @@ def forecast(solver: Solver, scene: Scene, interval: float, records: Sequence[Re
 
 
 def expected_seconds(solver: Solver, scene: Scene, records: Sequence[Record]) -> float | None:
-    """Return about how long a run takes, by the median of those of the solver, or of any plain MPM; None without any."""
+    """Return about how long a run takes, by those of the solver, or of any plain MPM; None if none was measured."""
     plain = ("mpm_",) if solver.group == "mpm" else ()
     timed = [each for each in records if each.solver == solver.name or each.solver.startswith(plain)]
     rates = [each.seconds / each.work for each in timed if each.kind == kind_of(scene) and each.threads == 1]
