@@ -268,11 +268,10 @@ def main() -> None:
     for folder in args.sweeps:
         for suffix in ("csv", "png"):
             shutil.copy(folder / f"sweep.{suffix}", ROOT / "docs" / f"sweep_{folder.name}.{suffix}")
-        lines = [
-            line for line in (folder / "sweep.md").read_text(encoding="utf-8").splitlines() if line.startswith("|")
-        ]
+        blocks = (folder / "sweep.md").read_text(encoding="utf-8").split("\n\n")
+        table = next(block for block in blocks if block.startswith("|"))  # over seeds, where there are several
         figure = f"![errors over the values](sweep_{folder.name}.png)"
-        put(ROOT / "docs" / "results.md", folder.name, "\n".join([*lines, "", figure]))
+        put(ROOT / "docs" / "results.md", folder.name, f"{table}\n\n{figure}")
 
 
 if __name__ == "__main__":

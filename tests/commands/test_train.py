@@ -20,6 +20,7 @@ from gns_pl.models.corrector import load_corrector
 from gns_pl.training.summary import read_summary
 from tests.commands.in_process import ROOT, call
 from tests.conftest import start_process
+from tests.offline_run import OfflineRun, media, read_offline_run
 from tests.training.conftest import TINY, assert_same
 
 ONE_FAMILY = [f"data.families.cube_drop.{setting}" for setting in ("count=3", "duration=0.2", "valid=1", "test=0")]
@@ -91,13 +92,39 @@ def test_train_again_and_sweep(tmp_path: Path) -> None:
     assert [row["model.num_message_passing_steps"] for row in rows] == ["1", "2"]
     assert all(float(row["position_error"]) > 0 and float(row["rollout_step_ms"]) > 0 for row in rows)
     assert (tmp_path / "runs/sweep/sweep.png").is_file() and "sweep.md" in sweep.stdout
-    folders = list((tmp_path / "runs/sweep").glob("**/offline-run-*"))
-    assert len(folders) == 3  # two jobs and the sweep
-    # W&B's own process writes the runs, now and then after this one has ended.
+    whole, *members = written_runs(tmp_path / "runs/sweep", 3)
+    assert {offline.group for offline in (whole, *members)} == {"runs_sweep"}
+    assert [offline.job_type for offline in (whole, *members)] == ["sweep", "training", "training"]
+    for row, job, offline in zip(rows, jobs, members, strict=True):
+        summary, steps = read_summary(job.parent), row["model.num_message_passing_steps"]
+        assert summary is not None and offline.config["model"]["num_message_passing_steps"] == int(steps)
+        assert offline.summary["valid/position_error"] == pytest.approx(summary["final"]["position_error"])
+        error = whole.summary[f"model.num_message_passing_steps={steps}/position_error"]
+        assert error == pytest.approx(float(row["position_error"])) == pytest.approx(summary["best"]["position_error"])
+    assert whole.summary["num_jobs"] == 2 and whole.summary["num_failed"] == 0
+
+    broken, before = jobs[1].parent, jobs[0].read_bytes()
+    ended = torch.load(broken / "last.ckpt", weights_only=True)
+    (broken / "step0000004.ckpt").replace(broken / "last.ckpt")  # as a kill leaves it
+    for name in ("step0000006.ckpt", "summary.json"):
+        (broken / name).unlink()
+    again = run(tmp_path, "-m", *tiny("model.num_message_passing_steps=1,2", "hydra.sweep.dir=runs/sweep"))
+    assert again.returncode == 0 and jobs[0].read_bytes() == before and "has made its 6 steps already" in again.stdout
+    assert_same(torch.load(broken / "last.ckpt", weights_only=True), ended)
+    assert [row["status"] for row in read_rows(tmp_path / "runs/sweep/sweep.csv")] == ["finished", "finished"]
+
+
+def written_runs(folder: Path, number: int) -> list[OfflineRun]:
+    """The runs of W&B below a folder, by their folders, with all their media: W&B's own process may write a while."""
     deadline = time.monotonic() + 20
-    while len(runs := list((tmp_path / "runs/sweep").glob("**/run-*.wandb"))) < 3 and time.monotonic() < deadline:
+    while len(list(folder.glob("**/run-*.wandb"))) < number and time.monotonic() < deadline:
         time.sleep(0.1)
-    assert runs and all(b"runs_sweep" in path.read_bytes() for path in runs)  # in one group
+    found = sorted(folder.glob("**/offline-run-*"), key=lambda path: len(path.parts))
+    assert len(found) == number
+    runs = [read_offline_run(path) for path in sorted(found, key=lambda path: (len(path.parts), path))]
+    shown = [media(path, run) for path, run in zip(found, runs, strict=True)]
+    assert shown[0] == {"jobs", "sweep_figure"} and all("learning_curve" in names for names in shown[1:])
+    return runs
 
 
 def test_a_corrector_is_trained_and_swept_by_the_same_command(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from gns_pl.solvers.learned import LearnedSolver
 from tests.conftest import make_simulator
 from tests.evaluation.made_up import column, spreading
 from tests.evaluation.test_scenes import DATA
+from tests.offline_run import media, read_offline_run
 
 SETTINGS = {
     "columns": {"short": {"length": 0.4, "height": 0.2}, "tall": {"length": 0.2, "height": 0.4}},
@@ -337,7 +338,12 @@ def test_an_offline_wandb_run_needs_no_account(checkpoint, tmp_path, monkeypatch
     [folder] = (tmp_path / "out" / "wandb").glob("offline-run-*")
     kinds = {path.suffix for path in folder.rglob("media/**/*") if path.is_file()}
     assert kinds == {".png", ".gif", ".json"}
-    assert list(folder.glob("*.wandb")) and not (tmp_path / "wandb").exists()
+    assert not (tmp_path / "wandb").exists()
+    offline, metrics = read_offline_run(folder), json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert offline.job_type == "evaluation" and {"metrics", "runout_height"} < media(folder, offline)
+    for group in ("learned", "reference"):
+        for name, value in metrics["scenes"]["short"][group].items():
+            assert offline.summary[f"short/{group}/{name}"] == value
 
 
 def test_wandb_is_switched_off_by_its_own_variable(checkpoint, tmp_path, monkeypatch) -> None:

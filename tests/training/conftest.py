@@ -40,6 +40,8 @@ TINY = [
     "model.num_message_passing_steps=1",
     "training.optimisation.num_steps=6",
     "training.optimisation.warmup_steps=2",
+    "training.rollout.num_steps=0",
+    "callbacks.best.monitor=valid/position_error",
     "trainer.val_check_interval=3",
     "trainer.enable_progress_bar=false",
     "~callbacks.progress",

@@ -19,7 +19,16 @@ from omegaconf import OmegaConf
 
 from gns_pl.training.summary import FORMAT
 from gns_pl.training.sweep import SweepReport, close_sweep, group_name, report_sweep, shortened, sweep_reported
-from gns_pl.training.sweep_table import PANELS, measured, read_jobs, sweep_points, swept_names, table_rows
+from gns_pl.training.sweep_table import (
+    PANELS,
+    measured,
+    over_seeds,
+    read_jobs,
+    shown_tables,
+    sweep_points,
+    swept_names,
+    table_rows,
+)
 from tests.training.conftest import CONF
 
 
@@ -81,7 +90,8 @@ def test_one_line_per_value_of_the_second_parameter(tmp_path: Path) -> None:
         (1.0, "noise_std = 0.1"), (1.0, "noise_std = 0.2"), (5.0, "noise_std = 0.1"), (5.0, "noise_std = 0.2")
     ]  # fmt: skip
     assert [point.values["position_error"] for point in points] == [1, 2, 3, 4]
-    assert PANELS.keys() <= points[0].values.keys() and points[0].values["runout_99_error_percent"] == -10
+    assert PANELS.keys() - points[0].values.keys() == {"deposit_error_percent", "height_rms_percent"}
+    assert points[0].values["runout_99_error_percent"] == -10
     assert table_rows(jobs)[0][1:3] == swept_names(jobs)
 
 
@@ -90,6 +100,24 @@ def test_seeds_are_repetitions(tmp_path: Path) -> None:
         make_job(tmp_path, number, [f"seed={seed}", f"training.noise_std={noise}"], 1.0 + number)
     points = sweep_points(read_jobs(tmp_path))
     assert [(point.x, point.line) for point in points] == [(0.1, ""), (0.2, ""), (0.1, ""), (0.2, "")]
+
+
+def test_seeds_are_put_together_in_the_first_table(tmp_path: Path) -> None:
+    """Mean and standard deviation of those that have finished; the jobs follow one by one."""
+    for number, (seed, noise) in enumerate([(0, 0.1), (0, 0.2), (1, 0.1), (1, 0.2)]):
+        best = {"step": 50, "runout_99_error": 0.02 * number, "deposit_error": 0.1, "front_rms": 0.1, "map_rms": 0.05}
+        status = "stopped" if number == 3 else "finished"
+        make_job(tmp_path, number, [f"seed={seed}", f"training.noise_std={noise}"], best=best, status=status)
+    jobs = read_jobs(tmp_path)
+    table, every = shown_tables(jobs)
+    assert table[0][:2] == ["training.noise_std", "seeds"] and len(every) == 1 + len(jobs)
+    first, second = (dict(zip(table[0], row, strict=True)) for row in table[1:])
+    assert (first["seeds"], first["runout"]) == ("2 of 2", "+2.0 ± 2.8 %")  # of 0 and 4 %
+    assert (second["seeds"], second["runout"]) == ("1 of 2", "+2.0 %")
+    assert first["deposits: front [%]"] == "10" and "error [spacing]" not in first  # nobody knows it
+    assert over_seeds(jobs[::2])["runout_99_error"] == pytest.approx((0.02, 0.02 * 2**0.5))
+    page = report_sweep(tmp_path, name="quickstart", tracking=None)[1].read_text()
+    assert page.index("| training.noise_std | seeds |") < page.index("| job | seed |")
 
 
 def test_all_trajectories_stand_at_their_number(tmp_path: Path) -> None:
@@ -174,7 +202,7 @@ def test_a_sweep_is_a_run_of_its_own_in_the_group_of_its_jobs(tmp_path: Path, mo
     assert seen["sweep_figure"] == str(folder / "sweep.png") and seen["finished"]
     first, second = (dict(zip(seen["columns"], row, strict=True)) for row in seen["rows"])
     assert first["position_error"] == 4.0 and second["position_error"] is None and second["status"] == "unfinished"
-    assert seen["num_jobs"] == 2 and seen["num_failed"] == 0
+    assert seen["num_jobs"] == 2 and seen["num_failed"] == 0 and seen["all/position_error"] == 4.0
 
 
 def test_names_are_what_folders_and_checkpoint_paths_can_take() -> None:

@@ -198,6 +198,15 @@ def test_deposits_of_cold_starts_are_validated(two_phases: Path) -> None:
     assert summary is not None and "deposit off by" in "".join(summary_lines(summary))
 
 
+def test_deposits_choose_the_weights_of_single_steps_too(data_root: Path, tmp_path: Path) -> None:
+    """As in sweeps of single steps alone; without them a monitor of deposits would keep the first weights."""
+    chosen = ("callbacks.best.monitor=valid/deposit_error", "training.rollout.placements=1")
+    train(make_config(data_root, tmp_path, *chosen), tmp_path, None)
+    errors = [float(row["valid/deposit_error"]) for row in rows(tmp_path) if row.get("valid/deposit_error")]
+    summary = read_summary(tmp_path)
+    assert len(errors) == 2 and summary is not None and summary["best"]["deposit_error"] == min(errors)
+
+
 def test_a_fine_run_has_no_error_of_its_own_deposit_and_a_broken_one_any(data_root: Path) -> None:
     path = data_root / read_manifest(data_root).splits["train"][0]
     trajectory = read_trajectory(path)

@@ -152,7 +152,7 @@ def report_sweep(folder: Path, *, name: str, tracking: dict[str, Any] | None) ->
 
 
 def draw_sweep(jobs: list[Any], folder: Path) -> list[Path]:
-    """Draw rollout errors and step times over the first of the swept parameters, one line per value of the others."""
+    """Draw errors and step times over the first of the swept parameters, one line per value of the others."""
     from gns_pl.training.sweep_table import PANELS, SEED, sweep_points, swept_names
     from gns_pl.viz import plot_sweep
 
@@ -161,7 +161,8 @@ def draw_sweep(jobs: list[Any], folder: Path) -> list[Path]:
         return []
     files = [folder / "sweep.png", folder / "sweep.pdf"]
     swept = [parameter for parameter in swept_names(jobs) if parameter != SEED]
-    plot_sweep(points, PANELS, swept[0] if swept else "", files)
+    panels = {name: label for name, label in PANELS.items() if any(name in point.values for point in points)}
+    plot_sweep(points, panels, swept[0] if swept else "", files)
     return files
 
 

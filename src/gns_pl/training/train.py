@@ -36,9 +36,10 @@ from gns_pl.training.module import SimulatorModule
 from gns_pl.training.provenance import provenance
 from gns_pl.training.recipe import Recipe
 from gns_pl.training.resume import exclusive, go_on, steps_made
-from gns_pl.training.run_summary import close_run, run_files
+from gns_pl.training.run_summary import close_run, monitored, run_files
 from gns_pl.training.summary import SUMMARY_FILE
 from gns_pl.training.trainer import build_trainer, quieten
+from gns_pl.training.validation import DEPOSIT_ERROR
 from gns_pl.training.whole_runs import WholeRuns, read_fine_run
 
 
@@ -75,14 +76,14 @@ class SimulatorRecipe(Recipe):
                 "make it a multiple, or set trainer.devices."
             )
         module = build_module(self.settings, self.training, datamodule, self.begun)
+        stride = self.training.stride
         if phase.num_steps:
-            stride = self.training.stride
             runs = [read_fine_run(directory / name, stride) for name in datamodule.train_names]
             symmetry, seed = self.training.optimisation.symmetry, self.settings["seed"]
             module.whole_runs = WholeRuns(runs, phase, self.settings["data"], symmetry=symmetry, seed=seed)
-            if trainer.limit_val_batches:
-                held_out = [read_fine_run(directory / name, stride) for name in datamodule.valid_names]
-                module.deposits = Deposits(held_out, phase.placements)
+        if trainer.limit_val_batches and (phase.num_steps or monitored(trainer) == DEPOSIT_ERROR):
+            held_out = [read_fine_run(directory / name, stride) for name in datamodule.valid_names]
+            module.deposits = Deposits(held_out, phase.placements)
         return module, datamodule
 
 

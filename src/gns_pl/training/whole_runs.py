@@ -72,8 +72,9 @@ def read_fine_run(path: Path, stride: int) -> FineRun:
     start, fine = read_trajectory(path, num_frames=1), read_observables(path)
     if fine is None:
         raise InputError(
-            f"{path}: has no observables of the whole run, which training.rollout compares with; make the data set "
-            "anew in another folder (data.root=…), or set training.rollout.num_steps=0."
+            f"{path}: has no observables of the whole run, which training.rollout and valid/deposit_error compare "
+            "with; make the data set anew in another folder (data.root=…), or set training.rollout.num_steps=0 and "
+            "callbacks.best.monitor=valid/position_error."
         )
     if (start.particle_type == ParticleType.KINEMATIC).any():
         raise InputError(f"{path}: has kinematic particles, and training.rollout knows no script of theirs.")
