@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import subprocess
+import sys
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -131,6 +133,11 @@ def test_words_and_groups_are_swept_too(tmp_path: Path) -> None:
     make_job(tmp_path, 1, ["model=paper"])
     make_job(tmp_path, 2, ["model=3"])
     assert [point.x for point in sweep_points(read_jobs(tmp_path))] == ["small", "paper", "3"]
+
+
+def test_what_hydra_imports_before_anything_runs_is_light() -> None:
+    code = "import sys, gns_pl.training.sweep, gns_pl.commands.train; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def config(folder: Path, **more: Any) -> Any:

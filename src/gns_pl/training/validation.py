@@ -1,14 +1,18 @@
-"""The errors of validation rollouts, made on several processes, as if one had made them all."""
+"""The errors of validation rollouts, made on several processes, as if one had made them all.
+
+Their names are read before anything runs (`training.summary`), so nothing heavy is imported here.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-
-import torch
-from lightning.pytorch import Trainer
+from typing import TYPE_CHECKING
 
 from gns_pl.metrics.summary import ERRORS, SUMMARY
+
+if TYPE_CHECKING:
+    from lightning.pytorch import Trainer
 
 STEP_SECONDS = "rollout_step_seconds"
 """Wall time of one step of a validation rollout [s]."""
@@ -53,6 +57,8 @@ class ValidationTable:
         Args:
             trainer: it knows the processes.
         """
+        import torch
+
         rank, ranks, strategy = trainer.global_rank, trainer.world_size, trainer.strategy
         precision = torch.float32 if strategy.root_device.type == "mps" else torch.float64
         table = torch.zeros((len(self._rows) * ranks, 2, len(NAMES)), dtype=precision)
