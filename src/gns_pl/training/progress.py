@@ -29,19 +29,20 @@ class ValidationLine(Callback):
     """Prints a line after every validation, so that a log file without a bar tells how far the training is."""
 
     def __init__(self) -> None:
-        self._began = (time.perf_counter(), 0)
+        self._latest = (time.perf_counter(), 0)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Remember where this start begins."""
-        self._began = (time.perf_counter(), trainer.global_step)
+        self._latest = (time.perf_counter(), trainer.global_step)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Print steps, time left and errors."""
+        """Print steps, time left at the rate of the latest steps, for those of whole runs are slower, and errors."""
         if trainer.sanity_checking or not trainer.is_global_zero:
             return
-        began, first = self._began
+        (before, first), now = self._latest, time.perf_counter()
         step, last = trainer.global_step, trainer.max_steps
-        left = (time.perf_counter() - began) / max(1, step - first) * (last - step)
+        self._latest = now, step
+        left = (now - before) / max(1, step - first) * (last - step)
         to_go = f", {timedelta(seconds=round(left))} to go" if step < last else ""
         print(f"step {step:,} of {last:,}{to_go}: {described(validation_values(trainer))}", flush=True)
 
