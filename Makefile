@@ -16,7 +16,7 @@ $(STAMP): pyproject.toml constraints.txt
 
 quickstart: $(STAMP)
 	$(BIN)/python train.py +experiment=quickstart
-	$(BIN)/python evaluate.py ckpt=runs/quickstart/last.ckpt
+	$(BIN)/python evaluate.py ckpt=runs/quickstart/best.ckpt
 
 # In the order of the files: modules of few tests, which xdist would keep for the end, are the long ones.
 test: $(STAMP)

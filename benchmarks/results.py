@@ -45,6 +45,7 @@ from gns_pl.solvers.trained import TrainedSolver
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results.csv"
 MODELS = (
+    "cube106",
     "column-fast",
     "general-fast",
     "column-fast-plane",
