@@ -108,8 +108,8 @@ def settings(name: str) -> dict[str, object]:
         return OmegaConf.to_container(compose("evaluate", overrides=[f"evaluation={name}"]), resolve=True)  # type: ignore[return-value]
 
 
-def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
-    """Return a row for every model and column; one that is known is not measured again."""
+def measure(cache: Path, known: Sequence[Row]) -> None:
+    """Write a row for every model and column; one that is known is not measured again."""
     rows: list[Row] = []
     for model in MODELS:
         trained = file_of(model)
@@ -139,7 +139,6 @@ def measure(cache: Path, known: Sequence[Row]) -> list[Row]:
                 rows.append(row)
                 write(RESULTS, rows)
                 print(row)
-    return rows
 
 
 def judge(model: str, sha256: str, solver: TrainedSolver, whole: Measured, seeds: Sequence[int], split: str) -> Row:
@@ -264,8 +263,9 @@ def main() -> None:
     parser.add_argument("--sweeps", type=Path, nargs="*", default=[], help="folders of finished sweeps, NAME each")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    rows = read(RESULTS)
-    write_tables(rows if args.from_table else measure(args.cache, rows))
+    if not args.from_table:
+        measure(args.cache, read(RESULTS))
+    write_tables(read(RESULTS))  # with the digits of the table
     for folder in args.sweeps:
         for suffix in ("csv", "png"):
             shutil.copy(folder / f"sweep.{suffix}", ROOT / "docs" / f"sweep_{folder.name}.{suffix}")

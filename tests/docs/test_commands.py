@@ -18,7 +18,7 @@ from gns_pl.training import sweep  # registers the resolvers of conf/train.yaml
 
 ROOT = Path(__file__).parents[2]
 SHOWN = re.compile(r"python (train|generate|simulate|evaluate|benchmark|convert|fit)\.py((?: [^`#|\n]+)?)")
-PLACEHOLDER = re.compile(r"…|\.\.\.|[A-Z]{3,}|^\[|^<|:$|mine|install=")
+PLACEHOLDER = re.compile(r"…|\.\.\.|[A-Z]{3,}|^\[|^<|:$|mine|install=|hydra[/.]launcher")
 
 
 def shown() -> Iterator[tuple[str, tuple[str, ...]]]:
