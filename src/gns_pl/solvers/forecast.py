@@ -62,7 +62,7 @@ def forecast(solver: Solver, scene: Scene, interval: float, records: Sequence[Re
         f"{' × '.join(f'{number:,}' for number in needs.cells)} cells of {needs.edge:.3g} m and {needs.particles:,} "
     )
     takes += f"particles: {needs.memory / 1e9:.2g} GB of memory, {written / 1e9:.2g} GB for {frames:,} frames"
-    takes += "" if time is None else f", and about {seconds(time)}, if a step takes as long as without a terrain"
+    takes += "" if time is None else f", and {seconds(time)} or more: so long without a terrain"
     size = " × ".join(f"{number:,}" for number in scene.terrain.heights.shape)
     ground = f"ground of {size} heights {scene.terrain.cell:.3g} m apart, as it was cropped and resampled; the cells "
     ground += f"change it by up to {needs.shift:.2g} m"
