@@ -25,7 +25,7 @@ from gns_pl.training.train import train
 from gns_pl.training.whole_runs import WholeRuns, read_fine_run
 from tests.training.conftest import assert_same, make_config, rows
 
-PHASE = ("training.rollout.num_steps=3", "training.rollout.scenes=2", "training.rollout.whole_from=0.5")
+PHASE = tuple(f"training.rollout.{each}" for each in ("num_steps=3", "scenes=2", "whole_from=0.5", "placements=3"))
 WEIGHTS = {**dict.fromkeys(ERRORS, 1.0), "windows": 0.1}
 
 
