@@ -32,15 +32,20 @@ SHIPPED = [
 ]
 
 
-@pytest.mark.parametrize(("command", "argument"), SHIPPED)
-def test_what_ships_is_known(command: str, argument: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def check(command: str, arguments: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check what a command is given as it does itself, in a folder of its run."""
     assert sweep.SweepReport is not None
     with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose(command, [argument] if argument else [], return_hydra_config=True)
-        cfg.hydra.runtime.output_dir = str(tmp_path)
+        cfg = compose(command, arguments, return_hydra_config=True)
+        cfg.hydra.runtime.output_dir = str(folder)
         cfg.hydra.job.num = 0
         monkeypatch.setattr(HydraConfig.instance(), "cfg", None)
         HydraConfig.instance().set_config(cfg)
         with open_dict(cfg):
             del cfg["hydra"]
         check_known(cfg)
+
+
+@pytest.mark.parametrize(("command", "argument"), SHIPPED)
+def test_what_ships_is_known(command: str, argument: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check(command, [argument] if argument else [], tmp_path, monkeypatch)

@@ -8,13 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import open_dict
 
 from gns_pl.commands.arguments import prepared
-from gns_pl.commands.known import check_known
-from gns_pl.training import sweep  # registers the resolvers of conf/train.yaml
+from tests.commands.test_known import check
 
 ROOT = Path(__file__).parents[2]
 SHOWN = re.compile(r"python (train|generate|simulate|evaluate|benchmark|convert|fit)\.py((?: [^`#|\n]+)?)")
@@ -46,13 +42,4 @@ def split(words: str) -> list[str]:
 def test_the_command_takes_what_is_shown(
     command: str, arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert sweep.SweepReport is not None
-    with initialize_config_dir(str(ROOT / "conf"), version_base=None):
-        cfg = compose(command, prepared(arguments, ROOT / "conf" / f"{command}.yaml"), return_hydra_config=True)
-        cfg.hydra.runtime.output_dir = str(tmp_path)
-        cfg.hydra.job.num = 0
-        monkeypatch.setattr(HydraConfig.instance(), "cfg", None)
-        HydraConfig.instance().set_config(cfg)
-        with open_dict(cfg):
-            del cfg["hydra"]
-        check_known(cfg)
+    check(command, prepared(arguments, ROOT / "conf" / f"{command}.yaml"), tmp_path, monkeypatch)
