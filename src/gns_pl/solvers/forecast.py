@@ -71,7 +71,7 @@ def forecast(solver: Solver, scene: Scene, interval: float, records: Sequence[Re
 
 
 def expected_seconds(solver: Solver, scene: Scene, records: Sequence[Record]) -> float | None:
-    """Return about how long a run takes, by those of the solver, or of any plain MPM; None if none was measured."""
+    """Return the least that a run takes [s], by those of the solver or any plain MPM; None if none was measured."""
     plain = ("mpm_",) if solver.group == "mpm" else ()
     timed = [each for each in records if each.solver == solver.name or each.solver.startswith(plain)]
     rates = [each.seconds / each.work for each in timed if each.kind == kind_of(scene) and each.threads == 1]
