@@ -213,7 +213,7 @@ def prepare(overrides: list[str], threads: int) -> tuple[Any, SimulatorModule, T
     settings: dict[str, Any] = {**parts, "seed": cfg.seed, "description": ""}
     training = TrainingConfig.from_dict(settings["training"])
     directory = generate_dataset(settings["data"], device="auto")
-    data = build_data(directory, training, settings["model"]["input_sequence_length"], cfg.seed)
+    data = build_data(directory, training, settings["model"], cfg.seed)
     torch.manual_seed(cfg.seed)
     return cfg, build_module(settings, training, data), data
 

@@ -18,7 +18,8 @@ MEASURE = """
 import math, resource, sys, torch
 from tests.conftest import SAND, make_simulator, make_start
 from gns_pl.graph import radius_graph
-from gns_pl.rollout.engine import Run, history_of, static_of
+from gns_pl.rollout.engine import Run, history_of
+from gns_pl.rollout.static import static_of
 from gns_pl.rollout.memory import estimate_bytes
 from gns_pl.scene import FACES, Wall, column_collapse
 walls = dict.fromkeys(FACES[3], Wall("slip"))

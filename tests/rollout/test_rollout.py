@@ -67,7 +67,7 @@ def test_a_start_that_does_not_fit(drop: Scene) -> None:
 
 def test_a_scene_with_obstacles_is_refused(drop: Scene) -> None:
     slope = Plane((0, 0, 0.1), (1, 0, 3), Wall("slip"))
-    with pytest.raises(InputError, match="scene 'cube_drop' has obstacles, and a learned simulator knows no obstacles"):
+    with pytest.raises(InputError, match="scene 'cube_drop' has obstacles, which a simulator of bare boxes does not"):
         rollout(make_simulator(), make_start(drop.replace(obstacles=(slope,))), 1)
 
 

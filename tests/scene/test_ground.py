@@ -188,8 +188,8 @@ def test_missing_heights_in_the_box_are_told_and_others_cropped_away(tmp_path: P
 @pytest.mark.parametrize("name", ["column-fast", "collapse"])
 def test_who_knows_no_terrain_says_who_does(hill: Scene, name: str) -> None:
     solver = load_solver(name)
-    assert "takes no terrain (solver=mpm and shallow do)" in str(solver.unsupported_reason(hill))
-    with pytest.raises(InputError, match=r"has a terrain, which .* does not take; use solver=mpm or shallow\."):
+    assert "takes no terrain (solver=ground, mpm and shallow do)" in str(solver.unsupported_reason(hill))
+    with pytest.raises(InputError, match=r"has a terrain, which .* does not take; use solver=ground or mpm\."):
         solver.run(hill)
 
 

@@ -120,7 +120,7 @@ def trace(simulator: Simulator, part: str) -> ExportedProgram:
         part: as of `export_program`.
 
     Raises:
-        InputError: another part.
+        InputError: another part, or the step of a simulator that sees surfaces.
     """
     config, (number, edges) = simulator.config, (5, 7)  # traced with; neither 0 nor 1, which torch takes for constants
     dim, num_features = config.dim, len(config.material_features)
@@ -136,6 +136,8 @@ def trace(simulator: Simulator, part: str) -> ExportedProgram:
             "edge_index": (edge_index, {1: of_edges}),
         }
     elif part == "step":
+        if config.walls != "box":
+            raise InputError("a simulator that sees surfaces is exported by its network alone: part=network.")
         module = Step(simulator)
         history = torch.rand(number, config.input_sequence_length, dim)
         inputs = {

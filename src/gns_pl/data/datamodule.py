@@ -19,7 +19,7 @@ from gns_pl.data.windows import WindowDataset
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_manifest, read_static, read_trajectory
-from gns_pl.scene.refusals import check_bare
+from gns_pl.scene.refusals import SEE_SURFACES, check_bare
 from gns_pl.trajectory import Trajectory
 
 
@@ -75,6 +75,7 @@ class TrajectoryDataModule(LightningDataModule):
         memory_limit: the training set is kept in memory if its positions take no more than this [bytes].
         num_train: use only the first so many training trajectories; all if None.
         seed: of the order of windows.
+        surfaces: the simulator sees surfaces, so that scenes may have obstacles and terrain.
 
     Raises:
         InputError: more trajectories asked for than there are.
@@ -95,6 +96,7 @@ class TrajectoryDataModule(LightningDataModule):
         memory_limit: float,
         num_train: int | None,
         seed: int,
+        surfaces: bool = False,
     ) -> None:
         super().__init__()
         self.directory = Path(directory)
@@ -108,6 +110,7 @@ class TrajectoryDataModule(LightningDataModule):
         self.moving_repeats = moving_repeats
         self.num_workers = num_workers
         self.seed = seed
+        self.cell = self.manifest.spacing if surfaces else None
         self._steps_made = 0
         names = self.manifest.splits["train"]
         if num_train is not None and not 0 < num_train <= len(names):
@@ -128,6 +131,7 @@ class TrajectoryDataModule(LightningDataModule):
                 start_repeats=self.start_repeats,
                 moving_repeats=self.moving_repeats,
                 in_memory=self.in_memory,
+                cell=self.cell,
             )
 
     def check_validation(self) -> None:
@@ -140,7 +144,8 @@ class TrajectoryDataModule(LightningDataModule):
         for name in self.manifest.splits["valid"]:
             path = self.directory / name
             first = read_trajectory(path, num_frames=1)
-            check_bare(f"{path}: its scene", first.scene)
+            if self.cell is None:
+                check_bare(f"{path}: its scene", first.scene, cure=SEE_SURFACES)
             if read_header(path).num_frames > self.stride:
                 usable.append(name)
         self.valid_names, listed = tuple(usable), self.manifest.splits["valid"]

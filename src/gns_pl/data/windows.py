@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 from torch_geometric.data import Data
 
+from gns_pl.data.solids import surfaces_of
 from gns_pl.data.survey_record import MOVING_SHARE, SPEED_AT_REST
 from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.io import read_header, read_trajectory, read_window
-from gns_pl.scene.refusals import check_bare
+from gns_pl.scene.refusals import SEE_SURFACES, check_bare
 from gns_pl.trajectory import Trajectory, ballistic_history
 
 
@@ -42,9 +43,10 @@ class WindowDataset(Dataset[Data]):
         moving_repeats: how often windows are listed in whose next frame more than `MOVING_SHARE` of the particles have
             moved faster than `SPEED_AT_REST`; with those at the start it is the product of both.
         in_memory: keep all positions in memory; otherwise each window is read from its file.
+        cell: of the ground, for a simulator that sees surfaces (`data.solids`) [m]; None for one of bare boxes.
 
     Raises:
-        InputError: no file, one with fewer than s U + 1 frames, or one whose scene has obstacles.
+        InputError: no file, one with fewer than s U + 1 frames, or, without a `cell`, one whose scene is not bare.
     """
 
     def __init__(
@@ -57,13 +59,14 @@ class WindowDataset(Dataset[Data]):
         start_repeats: int,
         moving_repeats: int = 1,
         in_memory: bool,
+        cell: float | None = None,
     ) -> None:
         if not paths:
             raise InputError("there is no trajectory to train on; give the split at least one.")
         self.stride = stride
         self.before, self.behind = stride * (input_sequence_length - 1), stride * num_targets  # frames of the files
         self.paths = list(paths)
-        self.constant: list[dict[str, torch.Tensor]] = []
+        self.constant: list[dict[str, Any]] = []
         self._position: list[NDArray[np.float32] | None] = []
         self._pre_history: list[NDArray[np.float32]] = []
         self.index: list[tuple[int, int]] = []
@@ -73,7 +76,8 @@ class WindowDataset(Dataset[Data]):
             trajectory = read_trajectory(path, num_frames=None if in_memory else 1)
             if num_frames <= self.behind:
                 raise InputError(f"{path}: has {num_frames} frames; a window needs at least {self.behind + 1}.")
-            check_bare(f"{path}: its scene", trajectory.scene)
+            if cell is None:
+                check_bare(f"{path}: its scene", trajectory.scene, cure=SEE_SURFACES)
             repeats = np.ones(num_frames - 1, dtype=int)
             if start_repeats > 1 or moving_repeats > 1:
                 speeds = _speeds(trajectory if in_memory else read_trajectory(path))
@@ -85,7 +89,7 @@ class WindowDataset(Dataset[Data]):
                 trajectory.position[0], trajectory.initial_velocity, trajectory.dt, self.before + 1
             )
             self._pre_history.append(past[:-1].astype(np.float32))
-            self.constant.append(_constant(trajectory))
+            self.constant.append(_constant(trajectory, cell))
             self._position.append(trajectory.position if in_memory else None)
 
     def __len__(self) -> int:
@@ -122,9 +126,11 @@ def _speeds(trajectory: Trajectory) -> NDArray[Any]:
     return np.stack([np.linalg.norm(after - before, axis=1) for before, after in pairs]) / np.float32(trajectory.dt)
 
 
-def _constant(trajectory: Trajectory) -> dict[str, torch.Tensor]:
+def _constant(trajectory: Trajectory, cell: float | None) -> dict[str, Any]:
     scene = trajectory.scene
+    surfaces = {} if cell is None else {"surfaces": surfaces_of(scene, cell)}
     return {
+        **surfaces,
         "particle_type": torch.from_numpy(trajectory.particle_type),
         "material": torch.from_numpy(trajectory.material),
         "volume": torch.from_numpy(trajectory.volume()),

@@ -20,7 +20,6 @@ from gns_pl.generation.spec import FROM_FILES, DatasetSpec, whole_number
 from gns_pl.io import SPLITS
 from gns_pl.scene import Material, Scene, Wall, part_from_dict, scene_from_dict
 from gns_pl.scene.catalogue import checked_range
-from gns_pl.scene.refusals import refused_terrain
 
 _SCENES, _SPLITS, _OFFSETS = 0, 1, 2  # which of a family's random streams
 
@@ -159,16 +158,12 @@ def _given_family(spec: DatasetSpec, owner: str, name: str, first: int) -> list[
 
 
 def _check_scene(spec: DatasetSpec, owner: str, scene: Scene) -> None:
-    """Refuse what no learned simulator can be trained on, and another gravity than the data set's, but for a slope."""
+    """Refuse another gravity than the data set's, but for a slope."""
     if scene.gravity[-1] >= 0 or not math.isclose(math.hypot(*scene.gravity), spec.gravity, rel_tol=1e-3):
         raise InputError(
             f"{owner}: scene {scene.name!r} has the gravity {list(scene.gravity)}, and the data set "
             f"{spec.gravity:g} m/s² downwards or tilted; set data.gravity, or change the scene."
         )
-    if scene.obstacles:
-        raise InputError(f"{owner}: scene {scene.name!r} has obstacles, and a learned simulator knows none yet.")
-    if scene.terrain is not None:
-        raise InputError(f"{owner}: {refused_terrain(f'scene {scene.name!r}', 'a learned simulator')}")
 
 
 def _offset(seed: int, family: str, number: int, every: int, dim: int) -> tuple[int, ...]:

@@ -13,7 +13,14 @@ from functools import partial
 from gns_pl.errors import InputError
 from gns_pl.extensions import imported_function
 from gns_pl.generation.spec import FROM_FILES
-from gns_pl.scene import Scene, sample_block_release, sample_column_collapse, sample_cube_drop, sample_pair_release
+from gns_pl.scene import (
+    Scene,
+    sample_block_release,
+    sample_column_collapse,
+    sample_cube_drop,
+    sample_ground_release,
+    sample_pair_release,
+)
 
 COMMON = ("gravity", "walls", "material", "name")
 """Arguments that every sampler is given, of those that it takes: magnitude [m/s²], face → `Wall`, `Material`, name."""
@@ -42,6 +49,11 @@ KINDS: dict[str, Kind] = {
     "cube_drop": Kind(sample_cube_drop, ("domain", "side", "speed", "max_drop", "duration")),
     "block_release": Kind(sample_block_release, ("domain", "length", "aspect_ratio", "at_wall", "duration")),
     "column_collapse": Kind(sample_column_collapse, ("domain", "length", "aspect_ratio", "duration_tau")),
+    "ground_release": Kind(
+        sample_ground_release,
+        ("domain", "length", "height", "duration", "incline_deg", "friction"),
+        ("hill", "step", "barrier"),
+    ),
     "pair_release": Kind(sample_pair_release, ("domain", "length", "aspect_ratio", "at_wall", "speed", "duration")),
 }
 """Name → kind."""

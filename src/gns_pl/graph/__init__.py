@@ -8,6 +8,7 @@ from gns_pl.graph.features import SceneBatch, edge_features, edge_width, node_fe
 from gns_pl.graph.neighbours import BACKENDS, NUMBA, radius_graph
 from gns_pl.graph.noise import coherent_noise, random_walk_noise
 from gns_pl.graph.reuse import NeighbourList
+from gns_pl.graph.surfaces import Surfaces
 from gns_pl.graph.training_distribution import TrainingDistribution, surroundings
 from gns_pl.graph.window_random import WindowRandom
 
@@ -16,6 +17,7 @@ __all__ = [
     "NUMBA",
     "NeighbourList",
     "SceneBatch",
+    "Surfaces",
     "TrainingDistribution",
     "WindowRandom",
     "coherent_noise",

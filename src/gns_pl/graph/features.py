@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from gns_pl.fields import ParticleType
 from gns_pl.graph.context import EMPTY, REACH, ContextGrid, context_fields
 from gns_pl.graph.features_in_loops import NodeConstants, edges_in_loops, nodes_in_loops
+from gns_pl.graph.surfaces import Surfaces
 from gns_pl.machine import compiles
 
 
@@ -26,6 +28,7 @@ class SceneBatch:
         upper: upper corner of every box [B, D] [m].
         gravity: [B, D] [m/s²].
         batch: [N] scene of every particle, ascending.
+        surfaces: what is rigid around particles; None for simulators that know the box alone.
     """
 
     particle_type: Tensor
@@ -35,6 +38,7 @@ class SceneBatch:
     upper: Tensor
     gravity: Tensor
     batch: Tensor
+    surfaces: Surfaces | None = None
     _grids: dict[float, ContextGrid] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -49,13 +53,19 @@ class SceneBatch:
 
     def to(self, device: torch.device | str) -> SceneBatch:
         """Return the same on another device."""
-        return SceneBatch(**{entry.name: getattr(self, entry.name).to(device) for entry in fields(self) if entry.init})
+        values: dict[str, Any] = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.init}
+        return replace(self, **{name: value.to(device) for name, value in values.items() if value is not None})
 
     def in_precision(self, dtype: torch.dtype) -> SceneBatch:
         """Return the same with its numbers in another precision; this very object if they are in it."""
-        floats = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.init}
-        wrong = {name: value for name, value in floats.items() if value.is_floating_point() and value.dtype != dtype}
-        return replace(self, **{name: value.to(dtype) for name, value in wrong.items()}) if wrong else self
+        values = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.init}
+        tensors = {name: value for name, value in values.items() if isinstance(value, Tensor)}
+        wrong = {name: value for name, value in tensors.items() if value.is_floating_point() and value.dtype != dtype}
+        changed: dict[str, Any] = {name: value.to(dtype) for name, value in wrong.items()}
+        surfaces = self.surfaces and self.surfaces.in_precision(dtype)
+        if surfaces is not self.surfaces:
+            changed["surfaces"] = surfaces
+        return replace(self, **changed) if changed else self
 
     def of_particles(self, value: Tensor) -> Tensor:
         """Return what holds for every particle's scene [N, …], of one scene [1, …] (broadcast: N copies cost time).
@@ -103,6 +113,7 @@ def node_features(
     particle_types: tuple[int, ...],
     material_scale: Tensor,
     context: bool,
+    surfaces: bool = False,
 ) -> Tensor:
     """Return what a particle knows of itself (Sanchez-Gonzalez et al. 2020, section 3).
 
@@ -117,10 +128,29 @@ def node_features(
         material_scale: [2, K] mean and standard deviation of the material features.
         context: add the distance to the floor within `REACH` radii, thickness and momentum of the overburden, the empty
             height below within `EMPTY` radii and the density of particles, in units of one per cell of the lattice.
+        surfaces: in the place of distances to the walls stand `approach` and `grip` of `scenes.surfaces`, and the
+            context is that over the ground: heights are less those of the ground below, as if it had been levelled.
 
     Returns:
-        [N, F]: velocities, distances to the lower and upper walls, context, type, material.
+        [N, F]: velocities, distances to the lower and upper walls or what is seen of surfaces, context, type, material.
     """
+    if surfaces:
+        assert scenes.surfaces is not None
+        seen = scenes.surfaces.fields(position, scenes.batch, radius)
+        level = position[:, -1] - seen.ground + scenes.of_particles(scenes.lower)[:, -1]
+        in_box = node_features(
+            velocity,
+            torch.cat([position[:, :-1], level[:, None]], dim=1),
+            scenes,
+            velocity_scale=velocity_scale,
+            radius=radius,
+            spacing=spacing,
+            particle_types=particle_types,
+            material_scale=material_scale,
+            context=context,
+        )
+        motion, _, rest = in_box.tensor_split(_wall_columns(velocity), dim=1)
+        return torch.cat([motion, seen.approach, seen.grip, rest], dim=1)
     kinds = particle_types if len(particle_types) > 1 else ()
     able = compiles(velocity, position, scenes.material, backward=True)
     able = able and compiles(velocity_scale, material_scale, scenes.lower, scenes.upper, scenes.volume)
@@ -160,6 +190,23 @@ def node_features(
     if used:
         parts.append((scenes.material[:, :used] - material_scale[0]) / material_scale[1])
     return torch.cat(parts, dim=1)
+
+
+def _wall_columns(velocity: Tensor) -> tuple[int, int]:
+    """Return the first column of node features about walls and the one behind; of velocities [N, H − 1, D]."""
+    begin = velocity.shape[1] * velocity.shape[2]
+    return begin, begin + 2 * velocity.shape[2]
+
+
+def near_surfaces(node: Tensor, velocity: Tensor) -> Tensor:
+    """Return which particles have a surface within the radius [N] bool.
+
+    Args:
+        node: features of `node_features`, with surfaces.
+        velocity: of which they were made [N, H − 1, D] [m/s].
+    """
+    begin, end = _wall_columns(velocity)
+    return (node.detach()[:, begin:end] != 0).any(dim=1)
 
 
 def edge_width(dim: int) -> int:

@@ -11,6 +11,7 @@ from gns_pl.errors import InputError
 from gns_pl.nn import DEFAULT_NETWORK
 
 OUTPUTS = ("acceleration", "gated")
+WALLS = ("box", "surfaces")
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class SimulatorConfig:
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
         context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
+        walls: what is known of walls. "box": distances to the faces of the box, of one condition; "surfaces": distance,
+            normal and friction of faces, obstacles and terrain within the radius (`graph.surfaces`).
         network: from features to the output: a registered name, "module.Class", or a mapping of "_target_" and options
             (`nn.network`).
 
@@ -52,6 +55,7 @@ class SimulatorConfig:
     output: str
     context: bool
     neighbours: str
+    walls: str = "box"
     network: str | Mapping[str, Any] = DEFAULT_NETWORK
 
     exact_steps: ClassVar[bool] = False
@@ -70,8 +74,9 @@ class SimulatorConfig:
         for name in ("dt", "spacing", "connectivity_radius"):
             if not getattr(self, name) > 0:
                 raise InputError(f"model.{name} must be positive, not {getattr(self, name)}.")
-        if self.output not in OUTPUTS:
-            raise InputError(f"model.output must be one of {', '.join(OUTPUTS)}, not {self.output!r}.")
+        for name, values in (("output", OUTPUTS), ("walls", WALLS)):
+            if getattr(self, name) not in values:
+                raise InputError(f"model.{name} must be one of {', '.join(values)}, not {getattr(self, name)!r}.")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SimulatorConfig:
@@ -90,4 +95,6 @@ class SimulatorConfig:
         values = {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(self).items()}
         if self.network == DEFAULT_NETWORK:
             del values["network"]  # as checkpoints were before there were others
+        if self.walls == "box":
+            del values["walls"]
         return values

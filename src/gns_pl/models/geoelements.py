@@ -59,8 +59,8 @@ class FrameConfig(SimulatorConfig):
         super().__post_init__()
         if self.edge_update not in EDGE_UPDATES:
             raise InputError(f"edge_update must be one of {', '.join(EDGE_UPDATES)}, not {self.edge_update!r}.")
-        if self.output != "acceleration" or self.context or self.network != DEFAULT_NETWORK:
-            raise InputError("a simulator in frames has output=acceleration, its own network and no context.")
+        if self.output != "acceleration" or self.context or self.network != DEFAULT_NETWORK or self.walls != "box":
+            raise InputError("a simulator in frames has output=acceleration, walls=box, its own network, no context.")
         if max(self.particle_types, default=0) >= self.num_types or min(self.particle_types, default=0) < 0:
             raise InputError(f"particle types {list(self.particle_types)} need more than num_types={self.num_types}.")
 

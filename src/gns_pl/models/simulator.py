@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
-from gns_pl.graph.features import in_precision
+from gns_pl.graph.features import in_precision, near_surfaces
 from gns_pl.machine import compiles
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.step_loops import gated_in_contact, integrated
@@ -157,6 +157,7 @@ class Simulator(nn.Module):
             particle_types=config.particle_types,
             material_scale=self.material_scale,
             context=config.context,
+            surfaces=config.walls == "surfaces",
         )
         return node, edge_index
 
@@ -182,7 +183,9 @@ class Simulator(nn.Module):
     def state_names(self) -> list[str]:
         """Return in a word what each column of `state` is about."""
         config = self.config
-        names = ["velocity"] * (config.dim * (config.input_sequence_length - 1)) + ["walls"] * (2 * config.dim)
+        names = ["velocity"] * (config.dim * (config.input_sequence_length - 1))
+        walls = ("walls", "walls") if config.walls == "box" else ("surfaces", "friction of surfaces")
+        names += [name for name in walls for _ in range(config.dim)]
         if config.context:
             names += ["floor", "overburden", "empty height", "density", *["momentum above"] * config.dim]
         names += ["type"] * (len(config.particle_types) if len(config.particle_types) > 1 else 0)
@@ -207,7 +210,8 @@ class Simulator(nn.Module):
         node, edge_index = self.features(history, scenes, search)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = (network or self.network)(node, edge, edge_index)
-        if compiles(history, output, backward=True) and self._compiles(scenes):
+        in_box = config.walls == "box"
+        if in_box and compiles(history, output, backward=True) and self._compiles(scenes):
             scales, boxes = self._numbers(), self._boxes(scenes)
             arrays = (edge_index.numpy(), *boxes, np.float32(config.connectivity_radius))
             return gated_in_contact(output, history, config.output == "gated", *scales, *arrays)
@@ -216,15 +220,8 @@ class Simulator(nn.Module):
             velocity = history.diff(dim=1) / config.dt
             falling = velocity[:, -1] / config.dt + scenes.of_particles(scenes.gravity)  # (v + g Δt) / Δt
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
-        return torch.where(self._in_contact(position, edge_index, scenes)[:, None], output, 0.0)
-
-    def _in_contact(self, position: Tensor, edge_index: Tensor, scenes: SceneBatch) -> Tensor:
-        """Return which particles have a neighbour or a wall within the connectivity radius [N] bool."""
-        contact = self._at_wall(position, scenes)
-        sender, receiver = edge_index
-        met = contact.new_zeros(len(contact) + 1)
-        met.index_fill_(0, torch.where(sender == receiver, len(contact), receiver), True)  # a node itself is padding
-        return contact | met[:-1]
+        contact = self._at_wall(position, scenes) if in_box else near_surfaces(node, history[:, 1:])
+        return torch.where(_met(edge_index, contact)[:, None], output, 0.0)
 
     def _at_wall(self, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Return which particles have a wall within the connectivity radius [N] bool."""
@@ -247,9 +244,10 @@ class Simulator(nn.Module):
     def integrate(self, history: Tensor, normalised: Tensor, scenes: SceneBatch) -> Tensor:
         """Return the next position by semi-implicit Euler: v' = v + a Δt, x' = x + v' Δt [N, D] [m].
 
-        The walls are rigid, so a particle that would leave the box is put onto its face; one that would cross the
-        whole box in a step becomes NaN, so that walls never hide an explosion. Kinematic particles stay where they
-        are; whoever unrolls the simulator moves them along their script.
+        Walls are rigid: a particle that would leave the box is put onto its face, one that would enter an obstacle or
+        the ground onto its surface. One that would cross the whole box in a step becomes NaN, so that walls never hide
+        an explosion. Kinematic particles stay where they are; whoever unrolls the simulator moves them along their
+        script.
 
         Args:
             history: [N, H, D] [m].
@@ -258,14 +256,22 @@ class Simulator(nn.Module):
         """
         if compiles(history, normalised, backward=True) and self._compiles(scenes):
             dt, scale = self._numbers()
-            return integrated(history, normalised, scale, dt, *self._boxes(scenes), scenes.moved.numpy())
+            position = integrated(history, normalised, scale, dt, *self._boxes(scenes), scenes.moved.numpy())
+            return self._kept_out(position, history, scenes)
         acceleration = normalised * self.acceleration_scale + scenes.of_particles(scenes.gravity)
         velocity = (history[:, -1] - history[:, -2]) / self.config.dt + acceleration * self.config.dt
         step = velocity * self.config.dt
         lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
         position = torch.clamp(history[:, -1] + step, lower, upper)
         position = torch.where(step.abs() > upper - lower, torch.nan, position)
-        return torch.where(scenes.moved[:, None], position, history[:, -1])
+        position = torch.where(scenes.moved[:, None], position, history[:, -1])
+        return self._kept_out(position, history, scenes)
+
+    def _kept_out(self, position: Tensor, history: Tensor, scenes: SceneBatch) -> Tensor:
+        """Return positions of which the moved ones lie in nothing rigid; those of a simulator of boxes as they are."""
+        if self.config.walls == "box" or scenes.surfaces is None or not scenes.surfaces.inner:
+            return position
+        return torch.where(scenes.moved[:, None], scenes.surfaces.keep_out(position, scenes.batch), history[:, -1])
 
     def _compiles(self, scenes: SceneBatch) -> bool:
         """Return whether compiled loops take what has no derivative in them."""
@@ -294,3 +300,16 @@ class Simulator(nn.Module):
         history, scenes = in_precision(history, scenes, self.velocity_scale.dtype)
         normalised = self.normalised_acceleration(history, scenes, search=search, network=network)
         return self.integrate(history, normalised, scenes)
+
+
+def _met(edge_index: Tensor, contact: Tensor) -> Tensor:
+    """Return which particles have a neighbour, or are in contact anyway [N] bool.
+
+    Args:
+        edge_index: [2, E].
+        contact: [N] bool.
+    """
+    sender, receiver = edge_index
+    met = contact.new_zeros(len(contact) + 1)
+    met.index_fill_(0, torch.where(sender == receiver, len(contact), receiver), True)  # a node itself is padding
+    return contact | met[:-1]

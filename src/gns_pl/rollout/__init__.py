@@ -4,6 +4,7 @@
 faster, `distributed` shares it among processes, `gradient` differentiates through many, `memory` says what one takes.
 """
 
-from gns_pl.rollout.engine import Run, rollout, static_of, unroll
+from gns_pl.rollout.engine import Run, rollout, unroll
+from gns_pl.rollout.static import static_of
 
 __all__ = ["Run", "rollout", "static_of", "unroll"]

@@ -18,11 +18,11 @@ from torch import Tensor
 
 from gns_pl.data.places import check_frames
 from gns_pl.errors import InputError
-from gns_pl.graph import SceneBatch
 from gns_pl.machine import machine_name
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.rest import Rest
+from gns_pl.rollout.static import static_of
 from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene.refusals import check_bare
 from gns_pl.trajectory import Trajectory, ballistic_history
@@ -44,21 +44,6 @@ class Run:
     num_steps: int
     past: NDArray[np.float32] | None = None
     made: int = 0
-
-
-def static_of(*trajectories: Trajectory) -> SceneBatch:
-    """Return the time-independent tensors of trajectories, one scene each."""
-    scenes = [trajectory.scene for trajectory in trajectories]
-    numbers = torch.tensor([trajectory.num_particles for trajectory in trajectories])
-    return SceneBatch(
-        particle_type=torch.cat([torch.from_numpy(trajectory.particle_type) for trajectory in trajectories]),
-        material=torch.cat([torch.from_numpy(trajectory.material) for trajectory in trajectories]),
-        volume=torch.cat([torch.from_numpy(trajectory.volume()) for trajectory in trajectories]),
-        lower=torch.tensor([scene.lower for scene in scenes], dtype=torch.float32),
-        upper=torch.tensor([scene.upper for scene in scenes], dtype=torch.float32),
-        gravity=torch.tensor([scene.gravity for scene in scenes], dtype=torch.float32),
-        batch=torch.arange(len(scenes)).repeat_interleave(numbers),
-    )
 
 
 def history_of(run: Run, config: SimulatorConfig, frames: int = 0) -> Tensor:
@@ -86,7 +71,8 @@ def check_run(run: Run, config: SimulatorConfig) -> None:
     start = run.start
     if start.scene.dim != config.dim:
         raise InputError(f"this simulator has {config.dim} dimensions, scene {start.scene.name!r} {start.scene.dim}.")
-    check_bare(f"scene {start.scene.name!r}", start.scene)
+    if config.walls == "box":
+        check_bare(f"scene {start.scene.name!r}", start.scene)
     if start.material_features[: len(config.material_features)] != config.material_features:
         raise InputError(
             f"this simulator needs the material features {list(config.material_features)}, "
@@ -131,7 +117,7 @@ def unroll(
     histories = {number: history_of(runs[number], stepper.config, length).to(device) for number in active}
     count = 0
     while active:
-        scenes = static_of(*(runs[number].start for number in active)).to(device)
+        scenes = static_of(*(runs[number].start for number in active), config=stepper.config).to(device)
         history = torch.cat([histories[number] for number in active])
         lengths = [runs[number].start.num_particles for number in active]
         scripted = torch.nonzero(~scenes.moved)[:, 0]

@@ -174,8 +174,10 @@ def first_failure(trajectory: Trajectory) -> Failure | None:
 
 
 def _depth(position: NDArray[np.float64], scene: Scene) -> NDArray[np.float64]:
-    """Return how deep particles are in a wall or an obstacle, 0 outside of both [N] [m]."""
+    """Return how deep particles are in a wall, an obstacle or the ground, 0 outside of all [N] [m]."""
     depth = np.maximum(np.array(scene.lower) - position, position - np.array(scene.upper)).max(axis=1)
     for obstacle in scene.obstacles:
         depth = np.maximum(depth, -signed_distance(obstacle, position)[0])
+    if scene.terrain is not None:
+        depth = np.maximum(depth, -scene.terrain.signed_distance(position)[0])
     return np.asarray(np.maximum(depth, 0.0))

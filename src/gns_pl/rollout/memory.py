@@ -13,7 +13,8 @@ from gns_pl.models.config import SimulatorConfig
 from gns_pl.nn import network_class
 from gns_pl.nn.packed import ROOM
 from gns_pl.nn.packed_layout import padded_width
-from gns_pl.rollout.engine import Run, history_of, static_of
+from gns_pl.rollout.engine import Run, history_of
+from gns_pl.rollout.static import static_of
 from gns_pl.rollout.stepper import Stepper
 
 HEADROOM = 1.2

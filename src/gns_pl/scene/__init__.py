@@ -17,6 +17,7 @@ from gns_pl.scene.catalogue import (
 )
 from gns_pl.scene.definition import FACES, Body, Material, Scene
 from gns_pl.scene.filling import Particles, fill_scene
+from gns_pl.scene.ground_release import sample_ground_release
 from gns_pl.scene.origin import near_origin
 from gns_pl.scene.parts import part_from_dict
 from gns_pl.scene.plain import read_scene, scene_from_dict, write_scene
@@ -50,6 +51,7 @@ __all__ = [
     "sample_block_release",
     "sample_column_collapse",
     "sample_cube_drop",
+    "sample_ground_release",
     "sample_pair_release",
     "scene_from_dict",
     "signed_distance",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gns_pl.models.corrector import Corrector, CorrectorConfig
 from gns_pl.mpm.settings import place_points, solver_config, stepped_run
-from gns_pl.rollout.engine import static_of
+from gns_pl.rollout.static import static_of
 from gns_pl.scene import Particles, Scene
 from gns_pl.solvers.reduction import Reduction, halve_scene
 from gns_pl.solvers.retuned import MPMFactors, RetunedMPMSolver

@@ -22,7 +22,7 @@ import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.graph.context import context_fields
 from gns_pl.mpm.settings import solver_version, stepped_run
-from gns_pl.rollout.engine import static_of
+from gns_pl.rollout.static import static_of
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import characteristic_time
 from gns_pl.solvers.correction import points_of

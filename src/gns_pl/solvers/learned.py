@@ -102,6 +102,11 @@ class LearnedSolver(TrainedSolver):
         """Of the training."""
         return self.checkpoint.provenance
 
+    @property
+    def knows_surfaces(self) -> bool:
+        """Whether it takes obstacles and terrain: a simulator that sees surfaces."""
+        return self.checkpoint.simulator.config.walls == "surfaces"
+
     def file(self) -> Path | None:
         """Return the checkpoint's file."""
         return None if self.path is None else find_checkpoint(self.path)

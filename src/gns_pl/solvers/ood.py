@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gns_pl.io import read_header, read_trajectory
 from gns_pl.models.checkpoint import Checkpoint
-from gns_pl.rollout.engine import static_of
+from gns_pl.rollout.static import static_of
 from gns_pl.solvers.reduction import Reduction
 from gns_pl.solvers.training_range import out_of_range
 from gns_pl.trajectory import Trajectory, ballistic_history
@@ -111,7 +111,7 @@ def compute_ood(checkpoint: Checkpoint, run: Trajectory, *, every: int = 1) -> O
     if seen is None:
         return None
     config, device = simulator.config, simulator.velocity_scale.device
-    length, static = config.input_sequence_length, static_of(run).to(device)
+    length, static = config.input_sequence_length, static_of(run, config=config).to(device)
     before = ballistic_history(run.position[0], run.initial_velocity, config.dt, length)[:-1]
     position = np.concatenate([before.astype(np.float32), run.position])
     frames = range(0, run.num_frames, every)

@@ -38,12 +38,17 @@ class TrainedSolver(Solver):
     provenance: Mapping[str, Any]
     dtype = "float32"
 
+    @property
+    def knows_surfaces(self) -> bool:
+        """Whether it takes obstacles and terrain."""
+        return False
+
     def unsupported_reason(self, scene: Scene) -> str | None:
         """Return what of a scene it has no means for, or None."""
-        if scene.obstacles:
+        if scene.obstacles and not self.knows_surfaces:
             return "knows no obstacles"
-        if scene.terrain is not None:
-            return "takes no terrain (solver=mpm and shallow do)"
+        if scene.terrain is not None and not self.knows_surfaces:
+            return "takes no terrain (solver=ground, mpm and shallow do)"
         if self.dim == 2 and scene.dim == 3:
             reasons = [not_plane_reason(scene, axis) for axis in (1, 0)]
             if None not in reasons:
@@ -62,13 +67,14 @@ class TrainedSolver(Solver):
         Raises:
             InputError: it cannot be run at all.
         """
-        check_bare(f"scene {scene.name!r}", scene, self.name)
+        if not self.knows_surfaces:
+            check_bare(f"scene {scene.name!r}", scene, self.name)
         return reduction_for(scene, self.dim)
 
     def size(self, scene: Scene) -> tuple[int, int]:
         """Return the numbers of particles and of steps."""
         reduced_scene = self.reduced(scene).scene
-        volume = sum(math.prod(body.size) for body in reduced_scene.bodies)
+        volume = sum(body.volume for body in reduced_scene.bodies)
         return round(volume / self.spacing**reduced_scene.dim), self.num_steps(reduced_scene)
 
     def num_steps(self, scene: Scene) -> int:

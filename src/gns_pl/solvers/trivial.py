@@ -35,7 +35,7 @@ class Still(Solver):
 
     def unsupported_reason(self, scene: Scene) -> str | None:
         """Return that it knows the floor of the box alone, or None."""
-        return None if scene.terrain is None else "takes no terrain (solver=mpm and shallow do)"
+        return None if scene.terrain is None else "takes no terrain (solver=ground, mpm and shallow do)"
 
     def spacing(self, scene: Scene) -> float:
         """Return the distance of neighbouring particles [m]."""

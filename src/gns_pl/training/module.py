@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 from torch_geometric.data import Data
 
-from gns_pl.graph import SceneBatch, TrainingDistribution, WindowRandom
+from gns_pl.graph import SceneBatch, Surfaces, TrainingDistribution, WindowRandom
 from gns_pl.metrics.summary import rollout_errors
 from gns_pl.models.checkpoint import Checkpoint, checkpoint_entry
 from gns_pl.models.registry import build_simulator
@@ -43,6 +43,7 @@ def static_of_batch(batch: Data) -> SceneBatch:
         upper=batch.upper,
         gravity=batch.gravity,
         batch=batch.batch,
+        surfaces=Surfaces.joined(batch.surfaces) if "surfaces" in batch else None,
     )
 
 

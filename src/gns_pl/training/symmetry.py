@@ -68,6 +68,7 @@ class Symmetry:
             lower=scenes.lower.gather(1, self.order),
             upper=scenes.upper.gather(1, self.order),
             gravity=(self.sign * scenes.gravity).gather(1, self.order),
+            surfaces=scenes.surfaces and scenes.surfaces.turned(self.sign, self.offset, self.order),
         )
 
 

@@ -65,8 +65,8 @@ class SimulatorRecipe(Recipe):
 
     def build(self, directory: Path, trainer: Trainer) -> tuple[SimulatorModule, TrajectoryDataModule]:
         """Return module and data module of a dataset folder."""
-        length = self.settings["model"]["input_sequence_length"]
-        datamodule = build_data(directory, self.training, length, self.settings["seed"])
+        model = self.settings["model"]
+        datamodule = build_data(directory, self.training, model, self.settings["seed"])
         if trainer.limit_val_batches:
             datamodule.check_validation()
         phase, processes = self.training.rollout, trainer.num_nodes * trainer.num_devices
@@ -221,20 +221,20 @@ def check_model(model: Mapping[str, Any]) -> None:
     simulator_config({**model, **data})
 
 
-def build_data(directory: Path, training: TrainingConfig, length: int, seed: int) -> TrajectoryDataModule:
+def build_data(directory: Path, training: TrainingConfig, model: Mapping[str, Any], seed: int) -> TrajectoryDataModule:
     """Return the data module of a dataset folder, with its training set open.
 
     Args:
         directory: folder with a manifest.
         training: conf/training.
-        length: H.
+        model: conf/model, of which the history and what is known of walls count.
         seed: of the order of windows.
     """
     datamodule = TrajectoryDataModule(
         directory,
         batch_size=training.batch_size,
         num_steps=training.optimisation.num_steps,
-        input_sequence_length=length,
+        input_sequence_length=model["input_sequence_length"],
         num_targets=training.optimisation.unroll_steps,
         stride=training.stride,
         start_repeats=training.start_repeats,
@@ -243,6 +243,7 @@ def build_data(directory: Path, training: TrainingConfig, length: int, seed: int
         memory_limit=training.memory_limit,
         num_train=training.num_train,
         seed=seed,
+        surfaces=model.get("walls", "box") == "surfaces",
     )
     datamodule.setup("fit")
     return datamodule

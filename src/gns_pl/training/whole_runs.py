@@ -136,7 +136,7 @@ class WholeRuns:
         chosen = self.drawn(step, rank, num_ranks)
         starts = [self.start(simulator, run, number) for run, number in chosen]
         lengths = [self.length(run, step) for run, _ in chosen]
-        scenes = static_of(*starts).to(simulator.device)
+        scenes = static_of(*starts, config=simulator.config).to(simulator.device)
         position = torch.cat([torch.from_numpy(start.position[0]) for start in starts]).to(simulator.device)
         velocity = torch.cat([torch.from_numpy(start.initial_velocity) for start in starts]).to(simulator.device)
         numbers = torch.tensor([number for _, number in chosen], device=simulator.device)
