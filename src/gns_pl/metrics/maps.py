@@ -5,6 +5,7 @@ Particles of any number and size are compared, each by its own volume. A run in 
 
 from __future__ import annotations
 
+import math
 from itertools import product
 
 import numpy as np
@@ -12,9 +13,18 @@ from numpy.typing import NDArray
 
 from gns_pl.metrics.measures import Floats
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import initial_extent
 
 MAP_CELL = 1 / 12
 """Wanted distance of the grid's nodes [m]: two particle spacings of MPM on the paper's cells."""
+
+TERRAIN_NODES = 4.0
+"""Nodes over √(L0 H0) on a terrain, where scenes are of all sizes; of the paper's columns about as many."""
+
+
+def map_cell(scene: Scene) -> float:
+    """Return the wanted distance of nodes of a scene's map where nobody says [m]."""
+    return MAP_CELL if scene.terrain is None else math.sqrt(math.prod(initial_extent(scene))) / TERRAIN_NODES
 
 
 def map_cells(scene: Scene, cell: float) -> NDArray[np.int64]:
@@ -23,7 +33,7 @@ def map_cells(scene: Scene, cell: float) -> NDArray[np.int64]:
     return np.asarray(np.maximum(1, np.rint(extent / cell)), dtype=np.int64)
 
 
-def volume_map(position: Floats, volume: Floats, scene: Scene, cell: float = MAP_CELL) -> Floats:
+def volume_map(position: Floats, volume: Floats, scene: Scene, cell: float | None = None) -> Floats:
     """Return the volume at every node of a horizontal grid over the box; its sum is that of the particles.
 
     Each particle gives its volume to the nodes around it by linear weights, so the map changes steadily as particles
@@ -33,13 +43,13 @@ def volume_map(position: Floats, volume: Floats, scene: Scene, cell: float = MAP
         position: [N, D] [m].
         volume: of each particle [N] [m^D].
         scene: for the box.
-        cell: wanted distance of nodes [m]; each axis takes the nearest that divides the box.
+        cell: wanted distance of nodes [m]; each axis takes the nearest that divides the box. None: `map_cell`.
 
     Returns:
         [X + 1, Y + 1], or [X + 1] in two dimensions [m^D].
     """
     lower, upper = (np.array(corner[:-1]) for corner in (scene.lower, scene.upper))
-    number = map_cells(scene, cell)
+    number = map_cells(scene, map_cell(scene) if cell is None else cell)
     place = np.clip((position[:, :-1] - lower) / (upper - lower), 0.0, 1.0) * number
     node = np.minimum(place.astype(np.int64), number - 1)
     share = place - node
@@ -51,7 +61,7 @@ def volume_map(position: Floats, volume: Floats, scene: Scene, cell: float = MAP
     return total.reshape(number + 1)
 
 
-def thickness_map(position: Floats, volume: Floats, scene: Scene, cell: float = MAP_CELL) -> Floats:
+def thickness_map(position: Floats, volume: Floats, scene: Scene, cell: float | None = None) -> Floats:
     """Return volume per area at every node [m]: the height of the deposit, were it filled evenly from the floor.
 
     Args:

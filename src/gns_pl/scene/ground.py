@@ -15,6 +15,7 @@ from gns_pl.scene.definition import Body
 from gns_pl.scene.parts import part_from_dict
 from gns_pl.scene.raster import Raster, read_raster
 from gns_pl.scene.release import Release, make_release, read_outline
+from gns_pl.scene.shapes import shaped_raster
 from gns_pl.scene.terrain import Terrain
 from gns_pl.text import did_you_mean
 
@@ -28,7 +29,8 @@ def terrain_from_dict(data: Any, folder: Path, lower: Any = None, upper: Any = N
     """Return the ground of a scene file.
 
     Args:
-        data: plain values; with "file" the heights are read from there, else they are in "heights".
+        data: plain values; with "file" the heights are read from there, with "shape" they follow a formula (`shapes`),
+            else they are in "heights".
         folder: of the scene file.
         lower: lower corner of the box, to which what is read is cropped [D] [m]; None keeps all.
         upper: its upper corner.
@@ -36,6 +38,9 @@ def terrain_from_dict(data: Any, folder: Path, lower: Any = None, upper: Any = N
     Raises:
         InputError: unknown or missing keys, or a file that holds no ground.
     """
+    if isinstance(data, Mapping) and "shape" in data:
+        wall = part_from_dict(Wall, "terrain: wall", data.get("wall"))
+        return Terrain.of(shaped_raster({key: value for key, value in data.items() if key != "wall"}), wall)
     if not isinstance(data, Mapping) or "file" not in data:
         parts = dict(data) if isinstance(data, Mapping) else data
         if isinstance(parts, dict):

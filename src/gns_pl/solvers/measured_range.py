@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from gns_pl.errors import InputError
 from gns_pl.scene import Plane, Scene
 from gns_pl.scene.extent import characteristic_time, initial_extent
+from gns_pl.solvers.measured_ground import GROUND_SPANS, ground_setup
 from gns_pl.solvers.reduction import not_plane_reason, to_plane
 
 SPANS: Mapping[str, tuple[str, str, float, float]] = {
@@ -22,6 +23,7 @@ SPANS: Mapping[str, tuple[str, str, float, float]] = {
     "depth": ("depth of the body", " √(L0 H0)", 1.1, 1.1),
     "room": ("free length in front", " (0.5 + 1.3 a) L0", 1.1, math.inf),
     "duration": ("duration", " √(H0/g)", 1.5, math.inf),
+    **GROUND_SPANS,
 }
 """Key of a number → its name, unit, and by what factor it may lie below and above all that were measured.
 
@@ -35,7 +37,10 @@ def setup_of(scene: Scene) -> dict[str, str | float]:
 
     A scene in plane strain is described by its slice. The upper x wall is left out, as far as it is (`room`). Several
     bodies, and obstacles, are described by where they are (`_layout`): such a scene is like one of just these places.
+    On a terrain other things decide (`measured_ground`).
     """
+    if scene.dim == 3 and scene.terrain is not None:
+        return ground_setup(scene)
     for axis in (1, 0):
         if scene.dim == 3 and not_plane_reason(scene, axis) is None:
             scene = to_plane(scene, axis).scene

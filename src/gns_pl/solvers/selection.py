@@ -100,6 +100,7 @@ class Option:
         reason: why it cannot be trusted with the scene; None if it can.
         unmeasured: how the scene differs from all on which the solver was measured; None where `errors` hold.
         measured_errors: the largest on all scenes of this kind, whether they are like this one or not.
+        terrains: names of the scenes on other terrains from which `errors` are known; none of a scene without terrain.
     """
 
     solver: Solver
@@ -108,6 +109,7 @@ class Option:
     reason: str | None
     unmeasured: str | None = None
     measured_errors: Mapping[str, float] = field(default_factory=dict)
+    terrains: tuple[str, ...] = ()
 
     @property
     def error(self) -> float | None:
@@ -116,7 +118,9 @@ class Option:
 
 
 def kind_of(scene: Scene) -> str:
-    """Return "plane" for a scene in plane strain, or of two dimensions, else "space"."""
+    """Return "plane" for a scene in plane strain, or of two dimensions, "terrain" for one with ground, else "space"."""
+    if scene.dim == 3 and scene.terrain is not None:
+        return "terrain"
     flat = scene.dim == 2 or None in (not_plane_reason(scene, 0), not_plane_reason(scene, 1))
     return "plane" if flat else "space"
 
@@ -139,9 +143,12 @@ def estimate(scene: Scene, solvers: Sequence[Solver], records: Sequence[Record])
         records: what was measured.
     """
     kind, options = kind_of(scene), []
+    if all(record.kind != kind for record in records) and kind == "terrain":
+        kind = "space"  # a table from before there were such: nothing in it is like a terrain, and MPM runs it
     for solver in solvers:
         reason = solver.unsupported_reason(scene) or solver.out_of_range_reason(scene)
         measured = [record for record in records if record.solver == solver.name and record.kind == kind]
+        terrains: tuple[str, ...] = ()
         errors: dict[str, float] = {}
         overall: dict[str, float] = {}
         seconds = unmeasured = None
@@ -149,7 +156,9 @@ def estimate(scene: Scene, solvers: Sequence[Solver], records: Sequence[Record])
             overall = _largest(measured)
             unmeasured = "; ".join(unmeasured_reasons(scene, (record.setup for record in measured))[:2]) or None
             if unmeasured is None:
-                errors = _largest([record for record in measured if same_kind(scene, record.setup)])
+                alike = [record for record in measured if same_kind(scene, record.setup)]
+                errors = _largest(alike)
+                terrains = tuple(dict.fromkeys(record.scene for record in alike)) if kind == "terrain" else ()
             # Errors do not depend on the number of threads. Times are those of as many as there are, or the next fewer.
             numbers = {record.threads for record in measured}
             threads = max((number for number in numbers if number <= available_cores()), default=min(numbers))
@@ -157,7 +166,7 @@ def estimate(scene: Scene, solvers: Sequence[Solver], records: Sequence[Record])
             seconds = solver.cost(scene) * statistics.median(record.seconds / record.work for record in timed)
         if not measured and reason is None:
             reason = "was not measured on scenes of this kind"
-        options.append(Option(solver, errors, seconds, reason, unmeasured, overall))
+        options.append(Option(solver, errors, seconds, reason, unmeasured, overall, terrains))
     return sorted(options, key=lambda option: (option.reason is not None, option.seconds or 0.0))
 
 
@@ -232,6 +241,9 @@ def choose(options: Sequence[Option], tolerance: float, of: str = WORSE) -> tupl
             f"{within} on the scenes that were measured, and check=true compares it with coarser cells"
         )
     why = f"{prefix}the cheapest of {len(good)} that meet {within}"
+    if good[0].terrains:
+        names = ", ".join(good[0].terrains)
+        why += f", as measured on other terrains ({names}), each of its numbers among theirs and none of them this one"
     promise = ("front", "map") if of == WORSE else (of,)
     others = {other: error for other, error in good[0].errors.items() if other not in (*promise, WORSE)}
     return good[0], f"{why}; without a promise: up to {listed(others)}, on scenes like this one" if others else why

@@ -21,6 +21,11 @@ from gns_pl.trajectory import Trajectory
 AT_REST = "at_rest"
 """In the place of an earth pressure: 1 − sin φ, that of ground at rest (Jaky 1944)."""
 
+LEAVES_OUT = (
+    "motion within the layer and along the vertical, lift-off from the ground, pressure other than that of the weight "
+    "above, and obstacles inside the flow but for steps of the floor; solver=mpm has them"
+)
+"""What a layer of one velocity has no variables for."""
 
 LEAST_PARTICLES = 1024
 """Particles that show a layer, at least; otherwise two to a cell and direction."""
@@ -40,6 +45,7 @@ class ShallowSolver(Solver):
     cells: float
     settings: Mapping[str, Any] = field(default_factory=dict)
     group: str = field(default="shallow", init=False)
+    leaves_out: str = field(default=LEAVES_OUT, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._config(1.0, 0.5)  # refuses settings that cannot be

@@ -232,8 +232,8 @@ def _choose(
     options: Sequence[Option], scene: Scene, tolerance: float | None, of: str, machine: str, *, asked: bool
 ) -> Option | None:
     """Print what there is to choose from, and return what is taken, or None where nothing has to be."""
-    kind = "in plane strain" if kind_of(scene) == "plane" else "in three dimensions"
-    print(f"{scene.name}: {kind}, √(L0 H0) = {characteristic_size(scene):.3g} m, {scene.duration:.3g} s")
+    where = {"plane": "in plane strain", "space": "in three dimensions", "terrain": "in three dimensions, on a terrain"}
+    print(f"{scene.name}: {where[kind_of(scene)]}, √(L0 H0) = {characteristic_size(scene):.3g} m, {scene.duration:.3g} s")
     if asked:
         option, why = options[0], f"as asked for; {_worth(options[0])}"
     else:
@@ -243,6 +243,8 @@ def _choose(
         option, why = choose(options, tolerance, of)
     description = option.solver.reduced(scene).description
     print(f"chosen: {option.solver.name}, {why}{f'; {description}' if description else ''}", flush=True)
+    if option.solver.leaves_out:
+        print(f"{option.solver.name} leaves out: {option.solver.leaves_out}", flush=True)
     return option
 
 

@@ -35,6 +35,7 @@ class Solver(ABC):
         device: on which it runs, "cpu" or "cuda".
         dtype: of its arithmetic.
         selectable: a tolerance may choose it, once it was measured.
+        leaves_out: physics of a scene that it has no variables for, in words; "" where it has all.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Solver(ABC):
     device: str = "cpu"
     dtype: str = "float64"
     selectable: bool = True
+    leaves_out: str = ""
 
     @abstractmethod
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:

@@ -13,7 +13,7 @@ from gns_pl.evaluation.chart.batches import can_batch, measure_batches
 from gns_pl.evaluation.chart.converged import converged
 from gns_pl.evaluation.chart.costs import cost_of_entry
 from gns_pl.evaluation.chart.entries import make_entries, runs_whole
-from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, EntryFacts, Plan, write_plan
+from gns_pl.evaluation.chart.plan import LEARNED, MEASURES, WHERE, EntryFacts, Plan, write_plan
 from gns_pl.evaluation.chart.points import points_of, rows_by_name
 from gns_pl.evaluation.chart.tables import Tables
 from gns_pl.evaluation.chart.verdicts import verdicts
@@ -55,7 +55,7 @@ def measure(
     """Measure what the tables lack.
 
     Args:
-        scenes: on which all settings are run, as far as they can; all in plane strain, or none.
+        scenes: on which all settings are run, as far as they can; all of one kind (`selection.kind_of`).
         tables: filled, row by row.
         plan_path: where the plan is written, once it is known what there is to measure.
         ckpt: checkpoints besides those of the choice.
@@ -65,7 +65,7 @@ def measure(
         placements: of each setting and scene, one timed run each.
         threads: of a run; None for all cores. The chart is about the first number, of the others are times alone.
         device: "auto", "cpu" or "cuda".
-        reference: {plane, space: {cells_per_metre, placements}, order}, as `converged.converged`.
+        reference: {plane, space, terrain: {cells_per_metre, placements}, order}, as `converged.converged`.
         variants: of MPM, as `entries.mpm_variants`.
         extrapolate: {pairs of cells, order}.
         trivial: {cells} whose particles the trivial baselines have.
@@ -80,7 +80,7 @@ def measure(
     """
     kinds = {kind_of(scene) for scene in scenes}
     if len(kinds) > 1:
-        raise InputError("some scenes are in plane strain and some are not: chart them apart, with another out=.")
+        raise InputError(f"scenes {' and '.join(WHERE[kind] for kind in sorted(kinds))}: chart them apart, each with another out=.")
     [kind] = kinds
     if set(reference.get(kind) or {}) != {"cells_per_metre", "placements"}:
         raise InputError(f"reference.{kind}: needs cells_per_metre and placements.")

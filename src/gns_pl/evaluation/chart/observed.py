@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gns_pl.metrics import measures
 from gns_pl.metrics.curves import cut, mobile
-from gns_pl.metrics.maps import MAP_CELL, map_error, volume_map
+from gns_pl.metrics.maps import map_cell, map_error, volume_map
 from gns_pl.metrics.measures import Floats
 from gns_pl.metrics.release import front_advance
 from gns_pl.scene import Scene
@@ -26,11 +26,11 @@ class Observed:
 
     Attributes:
         front: advance of the front within which 99 % of the mass lies (`metrics.release.front_advance`) [T] [m].
-        height: mass-weighted mean height over the floor of the box [T] [m].
+        height: mass-weighted mean height over the floor of the box, or over the terrain [T] [m].
         arrest: time after which the flow is over (`measures.energy_arrest_time`) [s].
         volumes: final volume at the nodes of a horizontal grid (`metrics.maps.volume_map`) [X, Y] [m³]; in plane strain
             its profile [X] [m²].
-        profile: final height of the deposit along x (`measures.deposit_profile`) [B] [m].
+        profile: final height of the deposit along x, over the floor or the terrain (`measures.deposit_profile`) [B] [m].
     """
 
     front: Floats
@@ -50,17 +50,18 @@ class Observed:
             num_frames: of the run that count; None for all.
         """
         flow = mobile(run if num_frames is None else cut(run, num_frames))
-        place, volume = flow.position[-1].astype(np.float64), flow.volume().astype(np.float64)
+        raised = over_ground(flow)
+        place, volume = raised.position[-1].astype(np.float64), flow.volume().astype(np.float64)
         mass = flow.mass.astype(np.float64)
         if flow.scene.dim > judged.dim and across is not None:
             volume = volume / (flow.scene.upper[across] - flow.scene.lower[across])
             place = np.delete(place, across, axis=1)
         return cls(
             front=front_advance(flow),
-            height=measures.centre_of_mass(flow)[:, -1],
+            height=measures.centre_of_mass(raised)[:, -1],
             arrest=measures.energy_arrest_time(flow.time, measures.kinetic_energy(flow)),
             volumes=volume_map(place, volume, judged),
-            profile=measures.deposit_profile(place, mass, judged, MAP_CELL)[1],
+            profile=measures.deposit_profile(place, mass, judged, map_cell(judged))[1],
         )
 
     @classmethod
@@ -69,6 +70,16 @@ class Observed:
         names = ("front", "height", "volumes", "profile")
         arrays = {name: np.mean([getattr(run, name) for run in runs], axis=0) for name in names}
         return cls(arrest=float(np.mean([run.arrest for run in runs])), **arrays)
+
+
+def over_ground(flow: Trajectory) -> Trajectory:
+    """Return a run whose heights are those over its terrain, on the floor of the box; as it is without a terrain."""
+    if flow.scene.terrain is None:
+        return flow
+    position = flow.position.astype(np.float64)
+    ground = flow.scene.terrain.height(position.reshape(-1, flow.scene.dim)).reshape(position.shape[:2])
+    position[..., -1] += flow.scene.lower[-1] - ground
+    return replace(flow, position=position.astype(np.float32))
 
 
 def errors_of(run: Observed | None, reference: Observed) -> dict[str, float]:

@@ -34,6 +34,9 @@ UNTRAINED = ("mpm", "retuned", "shallow")
 COMPARED = (*LEARNED, "retuned", "shallow")
 """Groups that are compared with plain MPM."""
 
+WHERE = {"plane": "in plane strain", "space": "in space", "terrain": "on terrain"}
+"""Kind of scenes → the same in words."""
+
 MEASURES = {
     "front": "final front, 99 % of the mass",
     "map": "final deposit from above, the share of its volume in the wrong place",
@@ -112,7 +115,7 @@ class Plan:
 
     Attributes:
         command: by which it was measured.
-        kind: of the scenes, "plane" or "space".
+        kind: of the scenes, "plane", "space" or "terrain".
         scenes: all.
         entries: settings.
         left_out: name of a setting → scene that it cannot run → why.
@@ -146,7 +149,7 @@ class Plan:
     def title(self) -> str:
         """What it is about, in words."""
         what = "columns" if all(each.column for each in self.scenes) else f"{len(self.scenes)} scenes without a law"
-        return f"{what} in {'plane strain' if self.kind == 'plane' else 'space'}"
+        return f"{what} {WHERE[self.kind]}"
 
     def band(self, measure: str) -> float:
         """Return the uncertainty of the reference by a key of `MEASURES`: root mean square over the scenes."""

@@ -31,7 +31,7 @@ def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) 
             height_error=max((row.height_error for row in found), key=abs),
             profile_error=max(row.profile_error for row in found),
             map_error=max(row.map_error for row in found),
-            seconds=statistics.median(row.seconds for row in found),
+            seconds=statistics.median(map(undisturbed_seconds, found)),
             work=found[0].work,
             particles=found[0].particles,
             threads=threads,
@@ -40,6 +40,11 @@ def records_of(rows: Iterable[RunRow], setups: Mapping[str, str] | None = None) 
         )
         for (name, kind, scene, threads, machine), found in groups.items()
     ]
+
+
+def undisturbed_seconds(row: RunRow) -> float:
+    """Return the time of a run [s]: on one thread of a CPU its processor time, which other processes hardly change."""
+    return row.cpu_seconds if (row.device, row.threads) == ("cpu", 1) else row.seconds
 
 
 def write_records(path: Path, records: Sequence[Record]) -> int:

@@ -41,7 +41,7 @@ class RunRow:
         name: of the setting.
         group: "mpm", "learned", "corrected", "hybrid" or "trivial".
         identity: hash of all that decides the run: settings and solver, or the checkpoint's file.
-        kind: of the scene, "plane" or "space".
+        kind: of the scene, "plane", "space" or "terrain".
         scene: its name.
         judged: hash of scene, frames and reference.
         placement: seed of the particles' places.
