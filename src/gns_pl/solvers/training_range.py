@@ -148,6 +148,12 @@ def _ground_below(scene: Scene, body: Any) -> tuple[float, float]:
     return max([float(ground.min()), *tops]), max([float(ground.max()), *tops])
 
 
+def _ratios(family: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the lowest and the highest height over length of a family of releases on ground."""
+    (low, high), (short, long) = family["height"], family["length"]
+    return low / long, high / short
+
+
 def _beyond_shape(scene: Scene, body: Any, families: list[Mapping[str, Any]]) -> Iterator[str]:
     """Yield what of a body's size, shape and motion is beyond all families."""
     low, high = _ground_below(scene, body)
@@ -156,6 +162,9 @@ def _beyond_shape(scene: Scene, body: Any, families: list[Mapping[str, Any]]) ->
 
     def span(*keys: str) -> tuple[float, float]:
         values = [value for family in families for key in keys for value in np.atleast_1d(family.get(key, []))]
+        if keys == ("aspect_ratio",):  # releases on ground have a height over it
+            grounds = [family for family in families if family.get("kind") == "ground_release"]
+            values += [ratio for family in grounds for ratio in _ratios(family)]
         return (float(min(values)), float(max(values))) if values else (math.nan, math.nan)
 
     for what, value, (low, high), unit in (
