@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gns_pl.scene import Body, Material, Scene, Wall
-from gns_pl.scene.extent import compression_notice, own_weight_strain
+from gns_pl.scene import Body, Material, Scene, Wall, read_scene
+from gns_pl.scene.extent import compression_notice, frame_interval_of, own_weight_strain
 
 SAND = Material(density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30)
 CLAY = Material(density=1600, youngs_modulus=1e6, poisson_ratio=0.0, friction_angle_deg=20)
@@ -40,3 +40,16 @@ def test_who_sinks_by_more_than_two_per_cent_is_told_which_stiffness_it_needs() 
     stiff = Material(density=1800, youngs_modulus=1.7e7, poisson_ratio=0.3, friction_angle_deg=30)
     scene = tower(Body((0, 0), (10, 50), (0, 0)))
     assert compression_notice(scene.replace(materials={"sand": stiff})) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "interval"), [("corner", 0.01), ("slope", 0.01), ("runout", 0.01), ("sheet", 0.01), ("hillside", 0.2)]
+)
+def test_frames_are_as_far_apart_as_a_scene_is_large_and_a_slide_is_long(name: str, interval: float) -> None:
+    assert frame_interval_of(read_scene(name)) == interval
+
+
+def test_a_large_column_has_as_many_frames_as_a_small_one() -> None:
+    small, large = (tower(Body((0, 0), (height, height), (0, 0))) for height in (0.3, 30.0))
+    assert frame_interval_of(small) == 0.01 and frame_interval_of(large) == 0.05
+    assert frame_interval_of(large.replace(gravity=(0, 0))) == 0.01

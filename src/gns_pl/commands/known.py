@@ -85,6 +85,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(SEVERAL, ("text", "list")),
     **dict.fromkeys(("lower", "upper", "evaluation.stress.shown", "model.material_features"), ("list",)),
     **dict.fromkeys(("name", "description", "gravity_axis"), ("text", "number")),
+    "choice.frame_interval": ("number",),
     "model.network": ("text", "mapping"),
     "threads": ("number", "list"),
     "types": ("mapping",),
@@ -170,7 +171,7 @@ def check_value(key: str, value: Any, usual: Any, base: DictConfig) -> None:
         raise InputError(f"{key} must be {' or '.join(WORDS[kind] for kind in kinds)}, not {shown(value)}.")
     if key in WHOLE and value is not None and (not isinstance(value, int) or not WHOLE[key] <= value <= LARGEST):
         raise InputError(f"{key} must be a whole number of at least {WHOLE[key]}, not {value}.")
-    if key in POSITIVE and not value > 0:
+    if key in POSITIVE and value is not None and not value > 0:
         raise InputError(f"{key} must be above 0, not {value}.")
     if isinstance(usual, Mapping) and isinstance(value, Mapping):
         for name in value:

@@ -19,6 +19,7 @@ from gns_pl.metrics.quantities import COMPARISONS, SUMMARY
 from gns_pl.metrics.summary import Measured
 from gns_pl.rollout.policy import Policy
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import FRAME_INTERVAL
 from gns_pl.solvers.catalogue import load_solver
 from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.solver import Solver
@@ -75,7 +76,7 @@ def evaluate_solver(settings: Mapping[str, Any], label: str = "") -> dict[str, l
     check_reporting(**{key: evaluation[key] for key in CHECKED}, key="evaluation")
     policy = Policy(settings["stabilise"])
     solver = load_solver(settings["solver"], device=evaluation["device"], policy=policy, choice=choice)
-    interval = choice["frame_interval"]
+    interval = choice["frame_interval"] or FRAME_INTERVAL
     scenes = configured_scenes(evaluation, interval, dict(settings["paper"]))
     for name, scene in scenes.items():
         if (reason := solver.unsupported_reason(scene)) is not None:

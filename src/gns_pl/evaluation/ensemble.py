@@ -32,6 +32,7 @@ from gns_pl.metrics.exceedance import combine
 from gns_pl.metrics.rasters import REACHED, FlowMaps, MapGrid, map_grid
 from gns_pl.scene import Scene
 from gns_pl.scene.changes import decoded
+from gns_pl.scene.extent import frame_interval_of
 from gns_pl.scene.variation import VARIATIONS, drawn_values, grid_values
 from gns_pl.solvers.configured import configured_scenes, configured_solver
 from gns_pl.solvers.folder import alone
@@ -69,7 +70,7 @@ class Member:
     def key(self, solver: Solver) -> str:
         """Return a hash of all that decides its maps."""
         scene = {**self.scene.to_dict(), "name": ""}
-        interval = self.settings["choice"]["frame_interval"]
+        interval = interval_of(self.scene, self.settings)
         facts = [scene, solver.facts(self.scene), gns_pl.__version__, self.seed, interval]
         return hashed([*facts, repr(self.grid), self.reached])
 
@@ -173,10 +174,15 @@ def _cells(base: Scene, solver: Solver, settings: Mapping[str, Any]) -> tuple[Ma
 
     Its first frame is run, which besides compiles what the processes need.
     """
-    interval = settings["choice"]["frame_interval"]
+    interval = interval_of(base, settings)
     start = solver.run(base.replace(duration=min(interval, base.duration)), interval=interval, seed=settings["seed"])
     reached, grid = settings["reporting"]["reached"], map_grid(base, start.spacing)
     return grid, REACHED * start.spacing if reached is None else float(reached)
+
+
+def interval_of(scene: Scene, settings: Mapping[str, Any]) -> float:
+    """Return the time between frames of a member [s]."""
+    return float(settings["choice"]["frame_interval"] or frame_interval_of(scene))
 
 
 def _file(folder: Path, number: int) -> Path:
@@ -229,7 +235,7 @@ def run_member(member: Member) -> None:
     """
     solver = configured_solver(member.settings)
     run = member.path.with_suffix(".h5")
-    interval, monitor = member.settings["choice"]["frame_interval"], member.settings["monitor"]
+    interval, monitor = interval_of(member.scene, member.settings), member.settings["monitor"]
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         solver.record([member.scene], [run], interval=interval, seed=member.seed, monitor=monitor)
     failure = read_header(run).provenance.get("failure")

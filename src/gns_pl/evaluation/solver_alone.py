@@ -16,7 +16,7 @@ from gns_pl.evaluation.scenes import build_scenes
 from gns_pl.generation import reference_trajectory
 from gns_pl.metrics.summary import Measured
 from gns_pl.scene import Scene
-from gns_pl.scene.extent import compression_notice
+from gns_pl.scene.extent import FRAME_INTERVAL, compression_notice
 from gns_pl.solvers.mpm import MPMSolver
 
 REPORTING = ("figures", "snapshots", "animation", "film", "paraview", "maps", "reached")
@@ -44,7 +44,7 @@ def evaluate_mpm(settings: Mapping[str, Any], label: str = "") -> dict[str, Repo
     if isinstance(ckpt, list):
         raise InputError("solver=mpm takes one ckpt, whose data's material, walls and MPM settings are used, or none.")
     check_reporting(**{key: evaluation[key] for key in CHECKED}, key="evaluation")
-    interval, data = settings["choice"]["frame_interval"], dict(settings["paper"])
+    interval, data = settings["choice"]["frame_interval"] or FRAME_INTERVAL, dict(settings["paper"])
     mpm, out = dict(settings["choice"]["mpm"]), Path("runs/mpm/evaluation")
     if ckpt:
         data, interval, out = _of_checkpoint(ckpt)

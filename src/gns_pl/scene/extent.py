@@ -53,6 +53,27 @@ def characteristic_time(scene: Scene) -> float:
     return math.sqrt(initial_extent(scene)[1] / gravity)
 
 
+FRAME_INTERVAL = 0.01
+"""Least time between frames where nobody asks for another [s]: that of scenes of a laboratory's size."""
+
+FRAMES, FRAMES_PER_TIME = 200, 20
+"""Frames of a run on a terrain, and frames in a √(H0/g), that are enough where `FRAME_INTERVAL` gives more."""
+
+
+def frame_interval_of(scene: Scene) -> float:
+    """Return the time between frames where nobody says [s]: `FRAME_INTERVAL`, or more.
+
+    More, 1, 2 or 5 times a power of ten, where that is too fine for the size of a scene or the time of a slide.
+    """
+    wanted = FRAME_INTERVAL
+    if any(scene.gravity):
+        wanted = max(wanted, characteristic_time(scene) / FRAMES_PER_TIME)
+    if scene.terrain is not None:
+        wanted = max(wanted, scene.duration / FRAMES)
+    power = 10.0 ** math.floor(math.log10(wanted) + 1e-9)
+    return round(max(each for each in (1, 2, 5) if each * power <= wanted * (1 + 1e-9)) * power, 12)
+
+
 COMPRESSION_LIMIT = 0.02
 """From this elastic strain by own weight on, a solver's user is told that the stiffness is too low for the height."""
 

@@ -119,13 +119,17 @@ def shaped_raster(data: Mapping[str, Any]) -> Raster:
     numbers = {key: value for key, value in data.items() if key not in ("shape", "size", "cell")}
     name = data["shape"]
     if name not in SHAPES:
-        raise InputError(f"terrain: shape must be one of {', '.join(SHAPES)}, not {name!r}{did_you_mean(name, SHAPES)}.")
+        raise InputError(
+            f"terrain: shape must be one of {', '.join(SHAPES)}, not {name!r}{did_you_mean(name, SHAPES)}."
+        )
     shape = part_from_dict(SHAPES[name], f"terrain, a {name}", numbers)
     cell = checked_number("terrain", "cell", data.get("cell"), 0.0, above=True)
     size = checked_numbers("terrain", "size", data.get("size"), 2)
     counts = [round(edge / cell) for edge in size]
     if min(counts) < 2:
-        raise InputError(f"terrain: a size of {size[0]:g} × {size[1]:g} m has no two cells of {cell:g} m along each axis.")
+        raise InputError(
+            f"terrain: a size of {size[0]:g} × {size[1]:g} m has no two cells of {cell:g} m along each axis."
+        )
     x, y = ((np.arange(number) + 0.5) * cell for number in counts)
     heights = shape.heights(x[:, None], y[None, :], counts[1] * cell) + np.zeros(counts)
     return Raster(np.round(heights - heights.min(), DIGITS), (cell / 2, cell / 2), cell)

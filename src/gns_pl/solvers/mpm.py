@@ -14,13 +14,11 @@ from gns_pl.machine import available_cores
 from gns_pl.mpm import MPMConfig
 from gns_pl.mpm import settings as mpm_settings
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import frame_interval_of
 from gns_pl.solvers.recording import Recording
 from gns_pl.solvers.reduction import Reduction, reduce_scene
 from gns_pl.solvers.solver import Solver, characteristic_size, hashed
 from gns_pl.trajectory import Trajectory, start_trajectory
-
-FRAME_INTERVAL = 0.01
-"""Time between frames where nobody asks for another [s]."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ class MPMSolver(Solver):
         trajectory = mpm_settings.run_solver(
             reduction.scene,
             settings,
-            frame_interval=interval or FRAME_INTERVAL,
+            frame_interval=interval or frame_interval_of(scene),
             seed=seed,
             device=self.device,
             num_threads=self._threads(reduction.scene, settings),
@@ -146,12 +144,15 @@ class MPMSolver(Solver):
         reductions = [self.reduced(scene) for scene in scenes]
         settings = [self.settings_of(scene) for scene in scenes]
         trajectories: dict[int, Trajectory] = {}
-        for size in dict.fromkeys(each["cell_size"] for each in settings):
-            numbers = [number for number, each in enumerate(settings) if each["cell_size"] == size]
+        keys = [
+            (own["cell_size"], interval or frame_interval_of(one)) for own, one in zip(settings, scenes, strict=True)
+        ]
+        for key in dict.fromkeys(keys):
+            numbers = [number for number, each in enumerate(keys) if each == key]
             runs = mpm_settings.run_batch(
                 [reductions[number].scene for number in numbers],
                 settings[numbers[0]],
-                frame_interval=interval or FRAME_INTERVAL,
+                frame_interval=key[1],
                 seeds=[seeds[number] for number in numbers],
             )
             trajectories |= {number: reductions[number].lift(run) for number, run in zip(numbers, runs, strict=True)}

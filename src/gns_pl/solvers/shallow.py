@@ -11,9 +11,9 @@ from typing import Any
 import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import frame_interval_of
 from gns_pl.shallow import ShallowConfig, simulate, unsupported_reason
 from gns_pl.solvers.fitted import Factors, FittedSolver
-from gns_pl.solvers.mpm import FRAME_INTERVAL
 from gns_pl.solvers.reduction import Reduction, reduce_scene
 from gns_pl.solvers.solver import Solver, characteristic_size, hashed
 from gns_pl.trajectory import Trajectory
@@ -118,7 +118,9 @@ class ShallowSolver(Solver):
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory, whose particles show the layer; arguments as those of `Solver.run`."""
         reduction, began = self.reduced(scene), time.perf_counter()
-        trajectory = simulate(reduction.scene, self.config(scene), frame_interval=interval or FRAME_INTERVAL, seed=seed)
+        trajectory = simulate(
+            reduction.scene, self.config(scene), frame_interval=interval or frame_interval_of(scene), seed=seed
+        )
         seconds = time.perf_counter() - began
         provenance = {**trajectory.provenance, **self.facts(scene), "seed": seed, "wall_seconds": seconds}
         return reduction.lift(replace(trajectory, provenance=provenance))

@@ -17,12 +17,12 @@ from gns_pl.io.stream import add_provenance
 from gns_pl.metrics.rasters import check_mappable
 from gns_pl.rollout.policy import Policy
 from gns_pl.scene import Scene
-from gns_pl.scene.extent import compression_notice
+from gns_pl.scene.extent import compression_notice, frame_interval_of
 from gns_pl.solvers.catalogue import load_solver, make_solvers
 from gns_pl.solvers.configured import checkpoint_solver, configured_scenes
 from gns_pl.solvers.folder import alone, prepare
 from gns_pl.solvers.forecast import forecast
-from gns_pl.solvers.mpm import FRAME_INTERVAL, MPMSolver
+from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.selection import (
     RECORDS,
     WORSE,
@@ -148,7 +148,7 @@ def simulate_by_choice(
             promise = {"tolerance": tolerance, "of": tolerance_of, "expected_error": option.errors.get(tolerance_of)}
             notes.append({} if solver else {"choice": promise})
             _tell_notices(option.solver, scene, check)
-            for line in forecast(option.solver, scene, choice["frame_interval"], records):
+            for line in forecast(option.solver, scene, choice["frame_interval"] or frame_interval_of(scene), records):
                 print(f"{scene.name}: {line}.", flush=True)
     # One object for each solver, so that scenes of one are stepped together.
     on_device = {one.name: one.on(device) for one in chosen}
@@ -169,7 +169,7 @@ def simulate(
     *,
     out: Path,
     seed: int = 0,
-    interval: float = FRAME_INTERVAL,
+    interval: float | None = None,
     monitor: bool = True,
     files: Sequence[Path] | None = None,
     notes: Sequence[Mapping[str, object]] = (),
@@ -184,7 +184,8 @@ def simulate(
         scenes: what to simulate; their names name the files.
         out: folder; made.
         seed: of the particles' placement.
-        interval: time between frames, of solvers that have none of their own [s].
+        interval: time between frames, of solvers that have none of their own [s]; None: of each scene
+            `extent.frame_interval_of`.
         monitor: what fails ends with a message; False goes on as long as numbers are finite.
         files: in the place of `out`/NAME.h5.
         notes: of every scene, what the provenance of its file says besides; it does not tell runs apart.
@@ -205,13 +206,15 @@ def simulate(
     for one, scene in zip(solvers, scenes, strict=True):
         one.reduced(scene)  # refuses what cannot be run, before anything is
     try:
-        for runner in {id(one): one for one in solvers}.values():
-            numbers = [number for number, one in enumerate(solvers) if one is runner]
+        intervals = [interval or frame_interval_of(scene) for scene in scenes]
+        jobs = {(id(one), every): one for one, every in zip(solvers, intervals, strict=True)}
+        for (_, every), runner in jobs.items():
+            numbers = [n for n, one in enumerate(solvers) if one is runner and intervals[n] == every]
             with runner.processes() as rank, alone(out) if rank == 0 else nullcontext():
                 runner.record(
                     [scenes[number] for number in numbers],
                     [paths[number] for number in numbers],
-                    interval=interval,
+                    interval=every,
                     seed=seed,
                     monitor=monitor,
                     rank=rank,
@@ -233,7 +236,9 @@ def _choose(
 ) -> Option | None:
     """Print what there is to choose from, and return what is taken, or None where nothing has to be."""
     where = {"plane": "in plane strain", "space": "in three dimensions", "terrain": "in three dimensions, on a terrain"}
-    print(f"{scene.name}: {where[kind_of(scene)]}, √(L0 H0) = {characteristic_size(scene):.3g} m, {scene.duration:.3g} s")
+    print(
+        f"{scene.name}: {where[kind_of(scene)]}, √(L0 H0) = {characteristic_size(scene):.3g} m, {scene.duration:.3g} s"
+    )
     if asked:
         option, why = options[0], f"as asked for; {_worth(options[0])}"
     else:

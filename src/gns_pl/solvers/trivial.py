@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gns_pl.scene import Scene, fill_scene
-from gns_pl.solvers.mpm import FRAME_INTERVAL
+from gns_pl.scene.extent import frame_interval_of
 from gns_pl.solvers.solver import Solver, characteristic_size
 from gns_pl.trajectory import Trajectory, start_trajectory
 
@@ -48,7 +48,7 @@ class Still(Solver):
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory; arguments as those of `Solver.run`."""
-        interval = interval or FRAME_INTERVAL
+        interval = interval or frame_interval_of(scene)
         particles = fill_scene(scene, self.spacing(scene), jitter=0.5, generator=np.random.default_rng(seed))
         start = start_trajectory(scene, particles, interval, {"solver": self.name})
         number = round(scene.duration / interval) + 1

@@ -80,7 +80,9 @@ def measure(
     """
     kinds = {kind_of(scene) for scene in scenes}
     if len(kinds) > 1:
-        raise InputError(f"scenes {' and '.join(WHERE[kind] for kind in sorted(kinds))}: chart them apart, each with another out=.")
+        raise InputError(
+            f"scenes {' and '.join(WHERE[kind] for kind in sorted(kinds))}: chart them apart, each with another out=."
+        )
     [kind] = kinds
     if set(reference.get(kind) or {}) != {"cells_per_metre", "placements"}:
         raise InputError(f"reference.{kind}: needs cells_per_metre and placements.")
