@@ -219,7 +219,7 @@ def inside(folder: Path) -> None:
 def page_table(rows: list[Row]) -> str:
     """Return the rows as Markdown."""
     lines = [
-        "| solver | runout, x [m] | width [m] | area [ha] | thickest on the flat [m] | deposit [m] | its middle, x [m] | "
+        "| solver | runout, x [m] | width [m] | area [ha] | thickest on the flat [m] | deposit [m] | middle, x [m] | "
         f"arrival at {GAUGE:g} m [s] | fastest [m/s] | processor time [s] |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]

@@ -86,7 +86,7 @@ def test_geotiff_knows_its_reference_system(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*.png"))
 
 
-def test_particles_that_show_a_layer_have_no_velocity(tmp_path: Path) -> None:
+def test_particles_that_show_a_layer_of_unknown_speed_have_no_velocity(tmp_path: Path) -> None:
     flow = replace(sliding(3), provenance={"solver": "shallow-k0", "shallow": {"cell_size": 0.1}})
     maps = maps_of(flow)
     assert maps.max_velocity is None and "max_velocity" not in maps.rasters()

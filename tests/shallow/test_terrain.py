@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gns_pl.errors import InputError
+from gns_pl.metrics.rasters import compute_maps
 from gns_pl.scene import Body, Box, Plane, Raster, Scene, Terrain, Wall, make_release
 from gns_pl.shallow import ShallowConfig, simulate, unsupported_reason
 from gns_pl.shallow.solver import Layer, make_start
@@ -191,3 +192,21 @@ def test_a_layer_without_a_terrain_knows_no_curve() -> None:
     scene = make_scene((2.5, 1.6), Body((0.2, 0.0), (0.5, 0.9), (0.0, 0.0)))
     layer: Layer = make_start(scene, ShallowConfig(cell_size=0.1))
     assert len(layer.ground.curve) == 0 and len(layer.ground.drag) == 0
+
+
+def test_the_map_of_the_largest_velocity_is_that_of_the_layer() -> None:
+    """In the middle of a wide layer nothing but slope and friction acts: v = g (sin θ − μ cos θ) t, along the ground."""
+    terrain = make_terrain(lambda x, y: 2.2 - math.tan(ANGLE) * x + 0.0 * y, (4.0, 2.0, 3.0), 0.05)
+    release = make_release(terrain, outline=[[(0.5, 0.5), (2.5, 0.5), (2.5, 1.5), (0.5, 1.5)]], thickness=0.04)
+    scene = make_scene((4.0, 2.0, 3.0), release, terrain=terrain, duration=0.5)
+    run = simulate(scene, ShallowConfig(cell_size=0.05), frame_interval=0.1)
+    maps = compute_maps(run, reached=0.01)
+    assert maps.max_velocity is not None
+    speed = GRAVITY * (math.sin(ANGLE) - 0.3 * math.cos(ANGLE)) * 0.5
+    x, y = maps.grid.centres
+    inside = maps.max_velocity[np.ix_((x > 1.2) & (x < 2.2), (y > 0.8) & (y < 1.2))]
+    assert inside == pytest.approx(speed, rel=0.01)
+    assert not maps.max_velocity[maps.max_thickness < 0.01].any()
+    assert maps.max_velocity[x > 3.5].max() == 0.0 < maps.max_velocity[(x > 0.55) & (x < 0.8)].max()
+    del run.provenance["largest_velocity"]
+    assert compute_maps(run, reached=0.01).max_velocity is None

@@ -118,7 +118,7 @@ def _draw(maps: FlowMaps, scene: Scene, folder: Path, name: str, title: str) -> 
 def map_rows(maps: FlowMaps, scene: Scene) -> list[tuple[str, str]]:
     """Return label and text of what is printed about the maps of a run."""
     reached = maps.max_thickness >= maps.reached
-    velocity = "none, since these particles show a layer and not its motion"
+    velocity = "none, since these particles show a layer and not its motion, and the run does not say it"
     if maps.max_velocity is not None:
         velocity = f"{maps.max_velocity.max():.3g} m/s"
     late = float(np.nanmax(maps.arrival_time)) if reached.any() else 0.0

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.metrics.measures import Floats
 from gns_pl.scene import Raster, Scene
+from gns_pl.scene.arrays import decoded_array
 from gns_pl.trajectory import Trajectory
 
 WIDTH = 2.0
@@ -110,7 +112,7 @@ class FlowMaps:
         release: thickness at the start [m].
         max_thickness: largest thickness in any frame [m].
         max_velocity: largest mean velocity over the thickness, of frames in which the cell is reached [m/s]; 0 if none.
-            None of a run whose particles do not move as the material does.
+            Of a run whose particles do not move as the material does that of the layer they show, if it is known.
         deposit: thickness in the last frame [m].
         arrival_time: when the cell was first reached, between frames by a straight line [s]; NaN where it never was.
     """
@@ -171,6 +173,24 @@ def shows_motion(trajectory: Trajectory) -> bool:
     return "shallow" not in provenance and provenance.get("solver") != "gns_pl.shallow"
 
 
+def layer_velocity(trajectory: Trajectory, grid: MapGrid) -> Floats | None:
+    """Return the largest velocity of the layer that particles show [X, Y] [m/s], None if the run does not say it.
+
+    Args:
+        trajectory: by depth-averaged flow, whose provenance has it on the flow's own cells.
+        grid: each of its cells takes that of the flow's cell at its middle.
+    """
+    known: Any = trajectory.provenance.get("largest_velocity")
+    if known is None:
+        return None
+    values = decoded_array("largest_velocity", known["values"])
+    places = [
+        np.clip(np.floor((middle - low) / size).astype(np.int64), 0, number - 1)
+        for middle, low, size, number in zip(grid.centres, known["lower"], known["sizes"], values.shape, strict=True)
+    ]
+    return np.asarray(values[np.ix_(*places)])
+
+
 class Mapper:
     """Makes the maps of a run of its frames as they come.
 
@@ -215,12 +235,15 @@ class Mapper:
 
     def maps(self) -> FlowMaps:
         """Return the maps of all frames."""
+        velocity = self.max_velocity if shows_motion(self.start) else layer_velocity(self.start, self.grid)
+        if velocity is not None:
+            velocity = np.where(self.max_thickness >= self.reached, velocity, 0.0)
         return FlowMaps(
             self.grid,
             self.reached,
             release=self.release,
             max_thickness=self.max_thickness,
-            max_velocity=self.max_velocity if shows_motion(self.start) else None,
+            max_velocity=velocity,
             deposit=self.thickness,
             arrival_time=self.arrival_time,
         )

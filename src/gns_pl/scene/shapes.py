@@ -1,4 +1,4 @@
-"""Terrains by a formula, for scenes that a few numbers describe: a slope that runs out, with a gully or a mound; a bowl.
+"""Terrains by a formula, for scenes of a few numbers: a slope that runs out, with a gully or a mound, and a bowl.
 
 Heights are rounded, so that a scene is the same to the bit on every machine.
 """

@@ -13,6 +13,7 @@ import gns_pl
 from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.scene import Scene
+from gns_pl.scene.arrays import encoded_array
 from gns_pl.shallow.config import NUM_PARTICLES, ShallowConfig
 from gns_pl.shallow.plan import (
     Floats,
@@ -24,8 +25,12 @@ from gns_pl.shallow.plan import (
     unsupported_reason,
     with_bodies,
 )
-from gns_pl.shallow.terrain import lift_onto_terrain
+from gns_pl.shallow.terrain import lift_onto_terrain, mean_heights
 from gns_pl.trajectory import Trajectory
+
+
+THIN = 0.5
+"""Cells with a thinner layer have no velocity on a map, in spacings of the particles: those that nobody calls reached."""
 
 
 class Layer:
@@ -67,6 +72,14 @@ class Layer:
     def falling(self) -> Floats:
         """Thickness that has not come down yet [C] [m]."""
         return np.maximum(self.rain - 0.5 * self.fall * self.time**2, 0.0)
+
+    def speed(self, least: float) -> Floats:
+        """Return the speed along the ground of all cells where the layer is at least so thick [m], else 0 [C] [m/s]."""
+        along, across = self.momentum / np.where(self.thickness < least, np.inf, self.thickness)
+        up = np.zeros_like(along)
+        if len(self.ground.curve):
+            up = along * self.ground.curve[:, 0] + across * self.ground.curve[:, 1]
+        return np.asarray(np.sqrt(along**2 + across**2 + up**2))
 
     def advance(self, end: float) -> None:
         """Go on to a time [s].
@@ -129,7 +142,7 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
     layer = make_start(scene, config)
     grid, height = layer.grid, layer.ground.height
     number = config.num_particles or NUM_PARTICLES[scene.dim]
-    standing = layer.thickness.copy()
+    standing, means = layer.thickness.copy(), mean_heights(scene, grid)
     num_frames = round(scene.duration / frame_interval) + 1
     axes = [0, 2] if scene.dim == 2 else [0, 1, 2]
     frames = np.empty((num_frames, number, scene.dim), dtype=np.float32)
@@ -139,7 +152,10 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
     ground = height[grid.parents(exact)]
     start, _, _, rain = make_layer(scene, exact, ground, config.rain)
     place(shares, start, rain, start, ground, *exact.edges, position)
-    lift_onto_terrain(scene, grid, height, position)
+    lift_onto_terrain(scene, grid, height, means, position)
+    volume = float((layer.thickness + layer.rain).sum()) * grid.sizes[0] * grid.sizes[1]
+    thin = THIN * (volume / number) ** (1 / scene.dim)
+    fastest = layer.speed(thin)
     frames[0] = position[:, axes]
     body = nearest_body(scene, position[:, axes])
     for frame in range(1, num_frames):
@@ -147,8 +163,9 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
             frames[frame] = frames[frame - 1]
             continue
         layer.advance(frame * frame_interval)
+        np.maximum(fastest, layer.speed(thin), out=fastest)
         place(shares, layer.thickness, layer.falling, standing, height, *grid.edges, position)
-        lift_onto_terrain(scene, grid, height, position)
+        lift_onto_terrain(scene, grid, height, means, position)
         frames[frame] = position[:, axes]
     volume = float((layer.thickness + layer.falling).sum()) * grid.sizes[0] * grid.sizes[1]
     materials = [scene.materials[each.material] for each in scene.bodies]
@@ -162,8 +179,19 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
         initial_velocity=np.array([each.velocity for each in scene.bodies], dtype=np.float32)[body],
         dt=frame_interval,
         scene=scene,
-        provenance=provenance(config, layer, seed),
+        provenance=provenance(config, layer, seed) | ({} if scene.terrain is None else velocity_map(grid, fastest)),
     )
+
+
+def velocity_map(grid: Grid, fastest: Floats) -> dict[str, object]:
+    """Return what a trajectory says about the layer's largest speed, which its particles do not show.
+
+    Args:
+        grid: the cells.
+        fastest: largest speed of every cell in any frame [C] [m/s].
+    """
+    place = {"lower": [float(edges[0]) for edges in grid.edges], "sizes": list(grid.sizes)}
+    return {"largest_velocity": {"values": encoded_array(np.round(fastest, 3).reshape(grid.shape)), **place}}
 
 
 def provenance(config: ShallowConfig, layer: Layer, seed: int) -> dict[str, object]:

@@ -72,13 +72,19 @@ def terrain_curve(height: Floats, grid: Grid, gravity: float, earth_pressure: fl
     return np.stack([along, across, xx, twist, yy, film, speed], axis=-1).reshape(-1, 7)
 
 
-def lift_onto_terrain(scene: Scene, grid: Grid, height: Floats, position: Floats) -> None:
+def mean_heights(scene: Scene, grid: Grid) -> Floats:
+    """Return the terrain's mean height in every cell [C] [m]; none without a terrain [0]."""
+    return np.zeros(0) if scene.terrain is None else scene.terrain.means(grid.edges[: scene.dim - 1]).ravel()
+
+
+def lift_onto_terrain(scene: Scene, grid: Grid, height: Floats, means: Floats, position: Floats) -> None:
     """Move particles from the steps that cells are to the surface of the terrain, where it is the bed; in place.
 
     Args:
         scene: with a terrain, or nothing is done.
         grid: the cells.
         height: of the bed in them [C] [m].
+        means: of the terrain in them (`mean_heights`) [C] [m].
         position: x, y and z of the particles [N, 3] [m].
     """
     if scene.terrain is None:
@@ -88,6 +94,6 @@ def lift_onto_terrain(scene: Scene, grid: Grid, height: Floats, position: Floats
         for edges, place in zip(grid.edges, position[:, :2].T, strict=True)
     ]
     cell = places[0] * grid.shape[1] + places[1]
-    mean = scene.terrain.means(grid.edges[: scene.dim - 1]).ravel()[cell]
+    mean = means[cell]
     above = scene.terrain.height(position[:, : scene.dim - 1]) - mean
     position[:, 2] += np.where(mean >= height[cell], above, 0.0)

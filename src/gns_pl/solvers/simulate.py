@@ -235,10 +235,8 @@ def _choose(
     options: Sequence[Option], scene: Scene, tolerance: float | None, of: str, machine: str, *, asked: bool
 ) -> Option | None:
     """Print what there is to choose from, and return what is taken, or None where nothing has to be."""
-    where = {"plane": "in plane strain", "space": "in three dimensions", "terrain": "in three dimensions, on a terrain"}
-    print(
-        f"{scene.name}: {where[kind_of(scene)]}, √(L0 H0) = {characteristic_size(scene):.3g} m, {scene.duration:.3g} s"
-    )
+    where = {"plane": "in plane strain", "space": "in three dimensions", "terrain": "on a terrain"}[kind_of(scene)]
+    print(f"{scene.name}: {where}, √(L0 H0) = {characteristic_size(scene):.3g} m, {scene.duration:.3g} s")
     if asked:
         option, why = options[0], f"as asked for; {_worth(options[0])}"
     else:

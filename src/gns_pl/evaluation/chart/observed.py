@@ -30,7 +30,7 @@ class Observed:
         arrest: time after which the flow is over (`measures.energy_arrest_time`) [s].
         volumes: final volume at the nodes of a horizontal grid (`metrics.maps.volume_map`) [X, Y] [m³]; in plane strain
             its profile [X] [m²].
-        profile: final height of the deposit along x, over the floor or the terrain (`measures.deposit_profile`) [B] [m].
+        profile: final height of the deposit along x, over floor or terrain (`measures.deposit_profile`) [B] [m].
     """
 
     front: Floats
