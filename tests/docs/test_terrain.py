@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shlex
 from pathlib import Path
 
@@ -19,6 +20,16 @@ SMALLER = {
     "cell_size=25": ["cell_size=80", "duration=8"],
     "cell_size=40": ["cell_size=80", "duration=4"],
     "ensemble.members=16": ["ensemble.members=2"],
+    "runs/solvers": [
+        "runs/solvers",
+        "--scene",
+        "runs/terrain/landslide.yaml",
+        "--cell-size=80",
+        "--solvers",
+        "shallow-k0",
+        "mpm",
+    ],
+    "scene=mine.yaml": ["scene=runs/terrain/landslide.yaml"],
 }
 """Argument of the page → those in its place."""
 
@@ -30,8 +41,8 @@ def blocks(language: str) -> list[str]:
 
 def test_the_commands_lead_from_a_raster_to_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ensemble, "available_cores", lambda: 1)
-    [commands] = blocks("bash")
-    for line in commands.splitlines():
+    commands, compared, chosen, _ = blocks("bash")  # the last needs AvaFrame
+    for line in (commands + compared + chosen).splitlines():
         python, name, *arguments = shlex.split(line)
         smaller = [each for argument in arguments for each in SMALLER.get(argument, [argument])]
         done = call(tmp_path, name, *smaller)
@@ -51,6 +62,9 @@ def test_the_commands_lead_from_a_raster_to_maps(tmp_path: Path, monkeypatch: py
     assert x @ deposit.values.sum(axis=1) / deposit.values.sum() > x @ release.values.sum(axis=1) / release.values.sum()
     share = read_raster(folder / "ensemble/landslide_exceedance_5m.asc").values
     assert set(np.unique(share)) <= {0.0, 0.5, 1.0} and share.max() == 1.0
+    rows = (tmp_path / "runs/solvers/terrain_solvers.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["solver", "shallow-k0", "mpm"]
+    assert (tmp_path / "runs/solvers/terrain_solvers.png").is_file() and "chosen: " in done.stdout
     assert (folder / "ensemble/landslide_ensemble.png").is_file() and (folder / "maps/landslide_map.png").is_file()
 
 
@@ -59,3 +73,16 @@ def test_the_python_measures_any_trajectory(capsys: pytest.CaptureFixture[str]) 
     exec(compile(code, "docs/terrain.md", "exec"), {"flow": spreading()})
     area, volume = map(float, capsys.readouterr().out.split())
     assert area > 0.4 and volume == pytest.approx(0.04, rel=1e-5)
+
+
+@pytest.mark.parametrize("script", ["terrain_records", "dense_flow"])
+def test_the_tables_of_the_page_are_those_of_the_files(
+    script: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    module = runpy.run_path(str(ROOT / "benchmarks" / f"{script}.py"))
+    page = tmp_path / "terrain.md"
+    page.write_text((ROOT / "docs" / "terrain.md").read_text(encoding="utf-8"), encoding="utf-8")
+    module["main"].__globals__["PAGE"] = page
+    monkeypatch.setattr("sys.argv", [script, "--from-table"])
+    module["main"]()
+    assert page.read_text(encoding="utf-8") == (ROOT / "docs" / "terrain.md").read_text(encoding="utf-8")

@@ -194,8 +194,8 @@ def test_a_layer_without_a_terrain_knows_no_curve() -> None:
     assert len(layer.ground.curve) == 0 and len(layer.ground.drag) == 0
 
 
-def test_the_map_of_the_largest_velocity_is_that_of_the_layer() -> None:
-    """In the middle of a wide layer nothing but slope and friction acts: v = g (sin θ − μ cos θ) t, along the ground."""
+def test_the_map_of_largest_velocity_is_that_of_the_layer() -> None:
+    """Amid a wide layer nothing but slope and friction acts: v = g (sin θ − μ cos θ) t, along the ground."""
     terrain = make_terrain(lambda x, y: 2.2 - math.tan(ANGLE) * x + 0.0 * y, (4.0, 2.0, 3.0), 0.05)
     release = make_release(terrain, outline=[[(0.5, 0.5), (2.5, 0.5), (2.5, 1.5), (0.5, 1.5)]], thickness=0.04)
     scene = make_scene((4.0, 2.0, 3.0), release, terrain=terrain, duration=0.5)

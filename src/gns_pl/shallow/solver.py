@@ -28,9 +28,8 @@ from gns_pl.shallow.plan import (
 from gns_pl.shallow.terrain import lift_onto_terrain, mean_heights
 from gns_pl.trajectory import Trajectory
 
-
 THIN = 0.5
-"""Cells with a thinner layer have no velocity on a map, in spacings of the particles: those that nobody calls reached."""
+"""A thinner layer has no velocity on a map, in spacings of the particles: nobody calls such a cell reached."""
 
 
 class Layer:

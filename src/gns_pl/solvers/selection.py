@@ -153,11 +153,11 @@ def estimate(scene: Scene, solvers: Sequence[Solver], records: Sequence[Record])
         overall: dict[str, float] = {}
         seconds = unmeasured = None
         if measured and reason is None:
-            overall = _largest(measured)
+            overall = largest_errors(measured)
             unmeasured = "; ".join(unmeasured_reasons(scene, (record.setup for record in measured))[:2]) or None
             if unmeasured is None:
                 alike = [record for record in measured if same_kind(scene, record.setup)]
-                errors = _largest(alike)
+                errors = largest_errors(alike)
                 terrains = tuple(dict.fromkeys(record.scene for record in alike)) if kind == "terrain" else ()
             # Errors do not depend on the number of threads. Times are those of as many as there are, or the next fewer.
             numbers = {record.threads for record in measured}
@@ -170,7 +170,7 @@ def estimate(scene: Scene, solvers: Sequence[Solver], records: Sequence[Record])
     return sorted(options, key=lambda option: (option.reason is not None, option.seconds or 0.0))
 
 
-def _largest(records: Sequence[Record]) -> dict[str, float]:
+def largest_errors(records: Sequence[Record]) -> dict[str, float]:
     """Return the largest error of every quantity that was measured, at least that of the reference."""
     every = [record.errors for record in records]
     return {

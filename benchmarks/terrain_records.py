@@ -1,0 +1,94 @@
+"""What solvers err by on terrains, and what the errors on some say of another: tables of docs/terrain.md.
+
+    python benchmark.py evaluation=terrain records=src/gns_pl/solvers/records.csv out=runs/charts/terrain
+    python benchmark.py evaluation=terrain 'evaluation.scenes=[hillside]' frame_interval=0.25 \
+        'reference.terrain.cells_per_metre=[0.21,0.147]' records=src/gns_pl/solvers/records.csv out=runs/charts/hillside
+    python benchmarks/terrain_records.py     # writes the tables, of the package's records; nothing is run
+
+A terrain is judged by others, so the second table leaves every terrain out in turn: the cheapest solver that met a
+tolerance on all other terrains is taken for it, and the promise is held if its error on this one is within it, too.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from gns_pl.solvers.selection import RECORDS, WORSE, Record, largest_errors, read_records
+
+PAGE = Path(__file__).parents[1] / "docs" / "terrain.md"
+TOLERANCES = (0.4, 0.3, 0.2, 0.15, 0.1)
+
+
+def records_on_terrain() -> list[Record]:
+    """Return the package's records of scenes on a terrain, on one thread."""
+    return [each for each in read_records(RECORDS) if each.kind == "terrain" and each.threads == 1]
+
+
+def left_out(records: Sequence[Record], scene: str, tolerance: float) -> Record | None:
+    """Return the record on a scene of what is taken by those on all others; None if none meets the tolerance there."""
+    options = []
+    for record in (each for each in records if each.scene == scene):
+        others = [each for each in records if each.solver == record.solver and each.scene != scene]
+        if others and largest_errors(others)[WORSE] <= tolerance:
+            options.append(record)
+    return min(options, key=lambda each: each.seconds, default=None)
+
+
+def errors_table(records: Sequence[Record]) -> str:
+    """Return front and map of every solver on every terrain, and its time, as Markdown."""
+    scenes = list(dict.fromkeys(each.scene for each in records))
+    lines = [f"| solver | {' | '.join(f'`{scene}`' for scene in scenes)} |", "|---" * (len(scenes) + 1) + "|"]
+    found = {(each.solver, each.scene): each for each in records}
+    for solver in dict.fromkeys(each.solver for each in sorted(records, key=lambda each: each.seconds)):
+        cells = []
+        for scene in scenes:
+            record = found.get((solver, scene))
+            cells.append(
+                "–" if record is None
+                else f"{100 * record.runout_error:+.0f} %, {100 * record.map_error:.0f} %, {record.seconds:.2g} s"
+            )  # fmt: skip
+        lines.append(f"| `{solver}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def promise_table(records: Sequence[Record]) -> str:
+    """Return what was taken for every terrain by the others, and what it erred by there, as Markdown."""
+    scenes = list(dict.fromkeys(each.scene for each in records))
+    lines = [
+        f"| terrain | {' | '.join(f'{100 * tolerance:g} %' for tolerance in TOLERANCES)} |",
+        "|---" * (len(TOLERANCES) + 1) + "|",
+    ]
+    held = broken = 0
+    for scene in scenes:
+        cells = []
+        for tolerance in TOLERANCES:
+            taken = left_out(records, scene, tolerance)
+            if taken is None:
+                cells.append("refused")
+                continue
+            error = largest_errors([taken])[WORSE]
+            held, broken = held + (error <= tolerance), broken + (error > tolerance)
+            mark = "" if error <= tolerance else "**broken** "
+            cells.append(f"{mark}`{taken.solver}` {100 * error:.0f} %")
+        lines.append(f"| `{scene}` | {' | '.join(cells)} |")
+    said = (
+        f"With every terrain left out in turn, the errors on the others held on it in {held} of {held + broken} cases."
+    )
+    return "\n".join([said, "", *lines])
+
+
+def main() -> None:
+    """Write both tables."""
+    records, text = records_on_terrain(), PAGE.read_text(encoding="utf-8")
+    for name, table in (("terrain_records", errors_table(records)), ("terrain_promise", promise_table(records))):
+        marked = re.compile(rf"(<!-- {name} -->\n).*?(\n<!-- /{name} -->)", re.DOTALL)
+        if not marked.search(text):
+            raise SystemExit(f"{PAGE}: has no <!-- {name} --> to fill.")
+        text = marked.sub(lambda match, table=table: match[1] + table + match[2], text)  # type: ignore[misc]
+    PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
