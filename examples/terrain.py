@@ -60,22 +60,27 @@ def elevation(cell: float) -> Raster:
     return Raster(heights, (float(x[0]), float(y[0])), cell, CRS)
 
 
-def main() -> None:
-    """Write the three files."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--cell", type=float, default=25.0, help="edge of a cell of the ground [m]")
-    arguments = parser.parse_args()
-    folder: Path = arguments.folder
+def write_scene(folder: Path, cell: float) -> Path:
+    """Write the three files into a folder, with cells of the ground of so many metres, and return the scene's."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_raster(folder / "elevation", elevation(arguments.cell))
+    write_raster(folder / "elevation", elevation(cell))
     angles = np.linspace(0, 2 * np.pi, 33)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * RELEASE + CENTRE
     ring[-1] = ring[0]
     polygon = {"type": "Polygon", "coordinates": [ring.round(2).tolist()]}
     (folder / "release.geojson").write_text(json.dumps({"type": "Feature", "properties": {}, "geometry": polygon}))
     (folder / "landslide.yaml").write_text(yaml.safe_dump(SCENE, sort_keys=False))
-    print(f"{folder / 'landslide.yaml'}: {np.pi * np.prod(RELEASE) * THICKNESS:.3g} m³ on {SIZE[0]:g} × {SIZE[1]:g} m")
+    return folder / "landslide.yaml"
+
+
+def main() -> None:
+    """Write the three files."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--cell", type=float, default=25.0, help="edge of a cell of the ground [m]")
+    arguments = parser.parse_args()
+    path = write_scene(arguments.folder, arguments.cell)
+    print(f"{path}: {np.pi * np.prod(RELEASE) * THICKNESS:.3g} m³ on {SIZE[0]:g} × {SIZE[1]:g} m")
 
 
 if __name__ == "__main__":

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gns_pl.io.tables import read_table
 from gns_pl.mpm.settings import place_points
 from gns_pl.scene import Terrain, read_scene
 from gns_pl.solvers.catalogue import load_solver
-from gns_pl.solvers.forecast import LARGE_FILE, forecast
+from gns_pl.solvers.forecast import LARGE_FILE, START, forecast, needs_of
 from gns_pl.solvers.mpm import MPMSolver
-from gns_pl.solvers.selection import RECORDS, read_records
 from gns_pl.solvers.shallow import ShallowSolver
 from gns_pl.solvers.solver import Solver
 from tests.solvers.test_selection import column
@@ -28,7 +29,7 @@ def solvers() -> tuple[MPMSolver, ShallowSolver]:
 
 
 def said(solver: Solver, interval: float) -> str:
-    return ". ".join(forecast(solver, SCENE, interval, read_records(RECORDS)))
+    return ". ".join(forecast(solver, SCENE, interval))
 
 
 def test_cells_particles_and_frames_are_those_of_the_run() -> None:
@@ -39,7 +40,7 @@ def test_cells_particles_and_frames_are_those_of_the_run() -> None:
     assert cells == [round(edge / 4) for edge in size] and "cells of 4" in text
     points = int(re.findall(r"and ([\d,]+) particles", text)[0].replace(",", ""))
     assert points == pytest.approx(len(place_points(SCENE, mpm.settings_of(SCENE), 0).position), rel=0.05)
-    assert "61 frames" in text and "or more" in text
+    assert "61 frames" in text and "on one core" in text
     run = shallow.run(SCENE.replace(duration=1.0), interval=0.5)
     assert f"{run.num_particles:,} particles" in said(shallow, 0.5)
     assert f"cells of {SCENE.terrain.cell:g} m" in said(shallow, 0.5)
@@ -63,11 +64,23 @@ def test_a_plane_stays_as_it_is_and_a_ridge_is_smoothed() -> None:
     for name, line in heights.items():
         values = np.broadcast_to(line, SCENE.terrain.heights.shape)
         terrain = Terrain(values, SCENE.terrain.corner, SCENE.terrain.cell, SCENE.terrain.wall)
-        text = forecast(MPMSolver.preset(cell_size=10.0), SCENE.replace(terrain=terrain), 0.5, [])[1]
+        text = forecast(MPMSolver.preset(cell_size=10.0), SCENE.replace(terrain=terrain), 0.5)[1]
         shifts[name] = float(re.findall(r"by up to (\S+) m", text)[0])
     # The mean of |x| over the 10 m around a node 2.5 m beside the ridge is 3.125 m, and its sides have a slope of 0.8.
     assert shifts["plane"] < 1e-9 and shifts["ridge"] == pytest.approx(0.8 * 0.625)
 
 
+def test_the_time_is_within_a_factor_of_two_of_what_was_measured() -> None:
+    """Of the example's ground and a laboratory's, many frames and few, large grids and small, by both solvers."""
+    module = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks/forecast.py"))
+    rows = read_table(module["TABLE"], module["Row"], "is no table of benchmarks/forecast.py")
+    assert {row.case for row in rows} == set(module["CASES"])
+    for row in rows:
+        scene, solver, interval = module["prepared"](row.case)
+        needs = needs_of(solver, scene, interval)
+        assert needs is not None and 0.5 < (needs.seconds - START) / row.seconds < 2, row
+        assert needs.particles == pytest.approx(row.particles, rel=0.05)
+
+
 def test_of_other_scenes_nothing_is_said() -> None:
-    assert forecast(solvers()[0], column(), 0.01, []) == []
+    assert forecast(solvers()[0], column(), 0.01) == []

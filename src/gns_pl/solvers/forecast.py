@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import statistics
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +10,19 @@ import numpy as np
 from gns_pl.mpm.settings import solver_config
 from gns_pl.scene import Scene
 from gns_pl.solvers.mpm import MPMSolver
-from gns_pl.solvers.selection import Record, kind_of
 from gns_pl.solvers.shallow import ShallowSolver
 from gns_pl.solvers.solver import Solver
 from gns_pl.text import seconds
 
 POINT, LAYER = 24, 32
 """Numbers that MPM keeps of a point, and depth-averaged flow of a cell."""
+
+POINT_STEP, NODE_STEP, CELL_STEP, FRAME = 3.0e-7, 7e-10, 3.3e-7, 1e-7
+"""Processor time of a step of MPM for every point and every node of its grid, of a step of depth-averaged flow for
+every cell, and of a frame for every particle [s]: on the machine and of the runs of `benchmarks/forecast.py`."""
+
+START = 0.5
+"""Time before the first step, in which compiled code is loaded and particles are placed [s]."""
 
 LARGE_FILE = 1e9
 """From so many bytes on it is said how to keep fewer frames."""
@@ -33,6 +37,7 @@ class Needs:
         edge: of a cell [m].
         particles: number of them.
         memory: for cells, particles and the frames that are held [bytes].
+        seconds: processor time of the run, about [s].
         shift: by how much the cells change a height of the ground at most [m].
     """
 
@@ -40,29 +45,26 @@ class Needs:
     edge: float
     particles: int
     memory: float
+    seconds: float
     shift: float
 
 
-def forecast(solver: Solver, scene: Scene, interval: float, records: Sequence[Record]) -> list[str]:
+def forecast(solver: Solver, scene: Scene, interval: float) -> list[str]:
     """Return sentences about a run on a terrain; none for other scenes, and of other solvers.
 
     Args:
         solver: that runs it.
         scene: what is run.
         interval: time between frames [s].
-        records: runs whose times were measured; on scenes without terrain, and on one machine.
     """
-    if scene.terrain is None or not isinstance(solver, MPMSolver | ShallowSolver):
+    needs = needs_of(solver, scene, interval)
+    if needs is None or scene.terrain is None:
         return []
     frames = round(scene.duration / interval) + 1
-    needs = _mpm_needs(solver, scene) if isinstance(solver, MPMSolver) else _shallow_needs(solver, scene, frames)
     written = float(frames) * needs.particles * scene.dim * 4
-    time = expected_seconds(solver, scene, records)
-    takes = (
-        f"{' × '.join(f'{number:,}' for number in needs.cells)} cells of {needs.edge:.3g} m and {needs.particles:,} "
-    )
-    takes += f"particles: {needs.memory / 1e9:.2g} GB of memory, {written / 1e9:.2g} GB for {frames:,} frames"
-    takes += "" if time is None else f", and {seconds(time)} or more: so long without a terrain"
+    cells = " × ".join(f"{number:,}" for number in needs.cells)
+    takes = f"{cells} cells of {needs.edge:.3g} m and {needs.particles:,} particles: {needs.memory / 1e9:.2g} GB of "
+    takes += f"memory, {written / 1e9:.2g} GB for {frames:,} frames, and about {seconds(needs.seconds)} on one core"
     size = " × ".join(f"{number:,}" for number in scene.terrain.heights.shape)
     ground = f"ground of {size} heights {scene.terrain.cell:.3g} m apart, as it was cropped and resampled; the cells "
     ground += f"change it by up to {needs.shift:.2g} m"
@@ -70,24 +72,27 @@ def forecast(solver: Solver, scene: Scene, interval: float, records: Sequence[Re
     return [takes, ground, *(few if written > LARGE_FILE else [])]
 
 
-def expected_seconds(solver: Solver, scene: Scene, records: Sequence[Record]) -> float | None:
-    """Return the least that a run takes [s], by those of the solver or any plain MPM; None if none was measured."""
-    plain = ("mpm_",) if solver.group == "mpm" else ()
-    timed = [each for each in records if each.solver == solver.name or each.solver.startswith(plain)]
-    rates = [each.seconds / each.work for each in timed if each.kind == kind_of(scene) and each.threads == 1]
-    return solver.cost(scene) * statistics.median(rates) if rates else None
+def needs_of(solver: Solver, scene: Scene, interval: float) -> Needs | None:
+    """Return what a run on a terrain takes, None of other scenes and solvers; arguments as those of `forecast`."""
+    if scene.terrain is None:
+        return None
+    frames = round(scene.duration / interval) + 1
+    if isinstance(solver, MPMSolver):
+        return _mpm_needs(solver, scene, frames)
+    return _shallow_needs(solver, scene, frames) if isinstance(solver, ShallowSolver) else None
 
 
-def _mpm_needs(solver: MPMSolver, scene: Scene) -> Needs:
+def _mpm_needs(solver: MPMSolver, scene: Scene, frames: int) -> Needs:
     from gns_pl.mpm.ground import column_heights
-    from gns_pl.mpm.plan import make_grid, num_surfaces
+    from gns_pl.mpm.plan import MIN_STEPS_PER_FRAME, make_grid, num_surfaces
 
     assert scene.terrain is not None
     config = solver_config(solver.settings_of(scene))
     grid = make_grid(scene, config.cell_size)
     item = np.dtype(config.precision).itemsize
-    points, _ = solver.size(scene)
-    nodes = math.prod(grid.nodes) * (8 + 3 + num_surfaces(scene))
+    points, steps = solver.size(scene)
+    steps = (frames - 1) * max(MIN_STEPS_PER_FRAME, math.ceil(steps / (frames - 1)))
+    nodes = math.prod(grid.nodes)
     axes = grid.axes[:-1]
     lines = [grid.lower[axis] + grid.cell[axis] * np.arange(grid.nodes[axis]) for axis in axes]
     places = np.stack([place.ravel() for place in np.meshgrid(*lines, indexing="ij")], axis=1)
@@ -96,7 +101,8 @@ def _mpm_needs(solver: MPMSolver, scene: Scene) -> Needs:
         cells=tuple(grid.cells[axis] for axis in grid.axes),
         edge=max(grid.cell[axis] for axis in grid.axes),
         particles=points,
-        memory=item * float(nodes + POINT * points),
+        memory=item * float(nodes * (8 + 3 + num_surfaces(scene)) + POINT * points),
+        seconds=START + steps * (POINT_STEP * points + NODE_STEP * nodes) + frames * FRAME * points,
         shift=float(np.abs(heights.ravel() - scene.terrain.height(places)).max()),
     )
 
@@ -109,13 +115,15 @@ def _shallow_needs(solver: ShallowSolver, scene: Scene, frames: int) -> Needs:
     config = solver.config(scene)
     grid = make_grid(scene, config.cell_size)
     number = config.num_particles or NUM_PARTICLES[scene.dim]
-    edges = grid.edges[: scene.dim - 1]
+    edges, cells = grid.edges[: scene.dim - 1], math.prod(grid.shape)
+    steps = max(frames - 1, solver.cost(scene) / cells)
     places = np.stack(grid.centres[: scene.dim - 1], axis=1)
     return Needs(
         cells=grid.shape[: scene.dim - 1],
         edge=max(grid.sizes[: scene.dim - 1]),
         particles=number,
-        memory=8.0 * LAYER * math.prod(grid.shape) + 4.0 * frames * number * scene.dim,
+        memory=8.0 * LAYER * cells + 4.0 * frames * number * scene.dim,
+        seconds=START + steps * CELL_STEP * cells + frames * FRAME * number,
         shift=float(np.abs(scene.terrain.means(edges).ravel() - scene.terrain.height(places)).max()),
     )
 

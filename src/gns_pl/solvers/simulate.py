@@ -148,7 +148,7 @@ def simulate_by_choice(
             promise = {"tolerance": tolerance, "of": tolerance_of, "expected_error": option.errors.get(tolerance_of)}
             notes.append({} if solver else {"choice": promise})
             _tell_notices(option.solver, scene, check)
-            for line in forecast(option.solver, scene, choice["frame_interval"] or frame_interval_of(scene), records):
+            for line in forecast(option.solver, scene, choice["frame_interval"] or frame_interval_of(scene)):
                 print(f"{scene.name}: {line}.", flush=True)
     # One object for each solver, so that scenes of one are stepped together.
     on_device = {one.name: one.on(device) for one in chosen}
