@@ -48,6 +48,7 @@ MODELS = (
     "cube106",
     "column-fast",
     "general-fast",
+    "ground",
     "column-fast-plane",
     "friction-fast-plane",
     "corrected_plane",

@@ -52,7 +52,7 @@ def test_what_is_of_two_dimensions_runs_a_column_between_smooth_walls(name: str,
 
 
 def test_every_name_is_tried_here_or_is_of_three_dimensions() -> None:
-    space = {"collapse", "column-fast", "cube106", "general-fast"}
+    space = {"collapse", "column-fast", "cube106", "general-fast", "ground"}
     assert set(pretrained_names()) - space == {
         "collapse_plane",
         "column-fast-plane",
