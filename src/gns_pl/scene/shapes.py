@@ -63,7 +63,7 @@ class Slope:
         left, up, height, radius = checked_numbers("terrain", "mound", self.mound, 4)
         checked_number("terrain", "mound", radius, 0.0, above=True)
         hill = height * np.exp(-((x - left) ** 2 + (y - up) ** 2) / radius**2)
-        return -fall - depth * ends * (1 + np.cos(np.pi * across)) / 2 + hill
+        return np.asarray(hill - fall - depth * ends * (1 + np.cos(np.pi * across)) / 2)
 
     def _pairs(self) -> tuple[tuple[str, Any], tuple[str, Any]]:
         return ("toe", self.toe), ("gully", self.gully)

@@ -34,6 +34,9 @@ FINE_ERROR = 0.03
 FINE_ERRORS = {"front": FINE_ERROR, "map": 0.02, "height": 0.035, WORSE: FINE_ERROR}
 """The same of every quantity: of map and height the root mean square of what the chart's references are unsure of."""
 
+TERRAIN_ERRORS = {"front": 0.03, "map": 0.05, "height": 0.08, WORSE: 0.05}
+"""Of the references on terrains, MPM on cells of √(L0 H0)/13: the root mean square of what they are unsure of."""
+
 LEARNED = ("learned", "corrected", "hybrid")
 """Groups of solvers that learned from data, or a part of which did."""
 
@@ -173,9 +176,10 @@ def estimate(scene: Scene, solvers: Sequence[Solver], records: Sequence[Record])
 def largest_errors(records: Sequence[Record]) -> dict[str, float]:
     """Return the largest error of every quantity that was measured, at least that of the reference."""
     every = [record.errors for record in records]
+    least_errors = TERRAIN_ERRORS if records[0].kind == "terrain" else FINE_ERRORS
     return {
         of: max(least, *(errors[of] for errors in every if of in errors))
-        for of, least in FINE_ERRORS.items()
+        for of, least in least_errors.items()
         if any(of in errors for errors in every)
     }
 
