@@ -1,7 +1,7 @@
 """AvaFrame's dense flow (com1DFA) on an idealised slope beside depth-averaged flow and MPM: a table of docs/terrain.md.
 
     pip install avaframe                                    # 2.1; into another environment, if you like
-    python benchmarks/dense_flow.py                         # all solvers, into docs/dense_flow.csv and docs/terrain.md
+    python benchmarks/dense_flow.py                         # what docs/dense_flow.csv lacks; and into docs/terrain.md
     python benchmarks/dense_flow.py --avaframe ava/bin/python   # AvaFrame of another interpreter
     python benchmarks/dense_flow.py --from-table            # write the page's table again; nothing is run
 
@@ -14,6 +14,7 @@ thinner by cos θ, and its maps are divided by the cosine of the ground's slope.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import re
@@ -31,6 +32,7 @@ SLOPE_DEG, FRICTION, CELL, SIZE, TOE = 28.0, 0.3, 5.0, (900.0, 300.0), (300.0, 6
 RELEASE, THICKNESS = ((60.0, 110.0), (140.0, 190.0)), 6.0  # corners and vertical thickness [m]
 DURATION, INTERVAL, REACHED = 60.0, 0.5, 0.3  # s, s, m
 GAUGE = 420.0  # x of a line across the flat on which the arrival is measured [m]
+AVAFRAME = "AvaFrame"
 SOLVERS = {"shallow-k0": {}, "shallow": {}, "mpm": {"cell_size": 3.0}}
 
 
@@ -152,13 +154,19 @@ def run_avaframe(python: str) -> Row:
             raise SystemExit(f"{python}: com1DFA did not run; is avaframe installed there?\n{made.stderr[-2000:]}")
         told = json.loads(made.stdout.splitlines()[-1])
         grid = map_grid(scene, CELL)
-        values = {key: read_raster(Path(path)).values for key, path in told["files"].items()}
+        values = {key: np.nan_to_num(read_raster(Path(path)).values) for key, path in told["files"].items()}
+        frames = [(when, np.nan_to_num(read_raster(Path(path)).values)) for when, path in told["frames"]]
     slope = np.hypot(*np.gradient(scene.terrain.heights, CELL))
     upright = np.sqrt(1 + slope**2)
-    maps = {key: np.nan_to_num(value) for key, value in values.items()}
-    arrival = np.where(maps["max_thickness"] > 0, maps["arrival_time"], np.nan)
-    maps |= {key: maps[key] * upright for key in ("max_thickness", "deposit")} | {"arrival_time": arrival}
-    return row_of(f"AvaFrame {told['version']} com1DFA", grid, maps, told["cpu_seconds"])
+    maps = {key: values[key] * upright for key in ("max_thickness", "deposit")}
+    maps |= {"max_velocity": values["max_velocity"]}
+    arrival = np.full(upright.shape, np.nan)
+    for (before, old), (after, new) in itertools.pairwise((when, thick * upright) for when, thick in frames):
+        there = np.isnan(arrival) & (new >= REACHED)
+        part = np.clip((REACHED - old) / np.where(new > old, new - old, 1.0), 0.0, 1.0)
+        arrival[there] = (before + part * (after - before))[there]
+    maps["arrival_time"] = arrival
+    return row_of(f"{AVAFRAME} {told['version']} com1DFA", grid, maps, told["cpu_seconds"])
 
 
 def inside(folder: Path) -> None:
@@ -188,7 +196,8 @@ def inside(folder: Path) -> None:
     config = cfgUtils.getModuleConfig(com1DFA, str(folder), toPrint=False)
     settings = {
         "simTypeList": "null",
-        "resType": "pft|pfv|pta|FT",
+        "resType": "pft|pfv|FT",
+        "tSteps": f"0:{INTERVAL:g}",
         "rho": "2000",
         "frictModel": "Coulomb",
         "mucoulomb": str(FRICTION),
@@ -209,11 +218,12 @@ def inside(folder: Path) -> None:
     com1DFA.com1DFAMain(main, cfgInfo=config)
     seconds = spent() - began
     peaks = folder / "Outputs" / "com1DFA" / "peakFiles"
-    names = {"max_thickness": "pft", "max_velocity": "pfv", "arrival_time": "pta"}
+    names = {"max_thickness": "pft", "max_velocity": "pfv"}
     files = {key: str(next(peaks.glob(f"*_{name}.*"))) for key, name in names.items()}
-    last = sorted((peaks / "timeSteps").glob("*_FT_t*"), key=lambda path: float(path.stem.rsplit("_t", 1)[1]))[-1]
-    files["deposit"] = str(last)
-    print(json.dumps({"files": files, "cpu_seconds": seconds, "version": version("avaframe")}))
+    found = (peaks / "timeSteps").glob("*_FT_t*")
+    frames = sorted((float(path.stem.rsplit("_t", 1)[1]), str(path)) for path in found)
+    files["deposit"] = frames[-1][1]
+    print(json.dumps({"files": files, "frames": frames, "cpu_seconds": seconds, "version": version("avaframe")}))
 
 
 def page_table(rows: list[Row]) -> str:
@@ -244,14 +254,13 @@ def main() -> None:
         return
     from gns_pl.io.tables import read_table, write_table
 
-    if not arguments.from_table:
-        rows = [run_avaframe(arguments.avaframe)]
-        print(asdict(rows[0]), flush=True)
-        for name, options in SOLVERS.items():
-            rows.append(run_own(name, options))
-            print(asdict(rows[-1]), flush=True)
-        write_table(TABLE, Row, rows, 4)
-    rows = read_table(TABLE, Row, "is no table of this script")
+    rows = read_table(TABLE, Row, "is no table of this script") if TABLE.exists() else []
+    for name in () if arguments.from_table else (AVAFRAME, *SOLVERS):
+        if not any(re.match(rf"{name}( |,|$)", row.solver) for row in rows):
+            new = run_avaframe(arguments.avaframe) if name == AVAFRAME else run_own(name, SOLVERS[name])
+            print(asdict(new), flush=True)
+            rows = [new, *rows] if name == AVAFRAME else [*rows, new]
+            write_table(TABLE, Row, rows, 4)
     text = PAGE.read_text(encoding="utf-8")
     marked = re.compile(r"(<!-- dense_flow -->\n).*?(\n<!-- /dense_flow -->)", re.DOTALL)
     if not marked.search(text):
