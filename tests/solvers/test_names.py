@@ -11,7 +11,8 @@ from hydra import compose, initialize_config_dir
 from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
 from gns_pl.models.shipped import corrector_names, pretrained_names
-from gns_pl.scene import Box, Scene, write_scene
+from gns_pl.scene import Box, Scene, read_scene, write_scene
+from gns_pl.solvers.catalogue import load_solver
 from gns_pl.solvers.simulate import simulate_config
 from tests.solvers.simulated import simulate_learned
 from tests.solvers.test_selection import ROUGH, column
@@ -99,3 +100,10 @@ def test_a_slice_goes_on_where_it_was_and_is_that_of_the_choice(tmp_path: Path) 
     )
     np.testing.assert_allclose(parts.position, chosen.position, atol=1e-6)
     np.testing.assert_array_equal(parts.mass, chosen.mass)
+
+
+def test_a_scene_of_another_size_is_refused_with_what_to_do() -> None:
+    """A learned simulator has one spacing, so a hillside has more particles than any memory."""
+    hillside = read_scene(Path(CONF).parent / "scenes" / "landslide.yaml")
+    with pytest.raises(InputError, match=r"1\.2e\+08 particles at the spacing of 0\.0417 m that ground learned, .*mpm"):
+        load_solver("ground").run(hillside)

@@ -11,6 +11,7 @@ import numpy as np
 from gns_pl.errors import InputError
 from gns_pl.generation import chosen_every
 from gns_pl.scene import Particles, Scene, fill_scene
+from gns_pl.scene.filling import MAX_PARTICLES
 from gns_pl.scene.refusals import check_bare
 from gns_pl.solvers.reduction import Reduction, not_plane_reason, to_plane
 from gns_pl.solvers.solver import Solver
@@ -87,9 +88,19 @@ class TrainedSolver(Solver):
         return float((particles + OVERHEAD) * steps)
 
     def filled(self, scene: Scene, seed: int) -> Particles:
-        """Return the particles that fill a scene at the spacing of the data, as irregularly as these are."""
+        """Return the particles that fill a scene at the spacing of the data, as irregularly as these are.
+
+        Raises:
+            InputError: a scene of another size, which would have too many.
+        """
         # Of the data every k-th point of a lattice is kept, and moves in its own, k times smaller, cell. Points drawn
         # in blocks would scatter the front of a run three times as much (docs/data.md).
+        number = sum(body.volume for body in scene.bodies) / self.spacing**scene.dim
+        if number > MAX_PARTICLES:
+            raise InputError(
+                f"scene {scene.name!r} would have {number:.2g} particles at the spacing of {self.spacing:.3g} m that "
+                f"{self.name} learned, the only one it has; use solver=mpm, whose cells go with the scene."
+            )
         jitter = float(self.data.get("mpm", {}).get("jitter", 0.0)) / chosen_every(self.data)
         return fill_scene(scene, self.spacing, jitter=jitter, generator=np.random.default_rng(seed))
 
