@@ -26,7 +26,7 @@ from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.policy import Policy
 from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene import Scene
-from gns_pl.solvers.reduction import Reduction
+from gns_pl.solvers.reduction import Reduction, halve_scene
 from gns_pl.solvers.solver import hashed
 from gns_pl.solvers.trained import TrainedSolver
 from gns_pl.solvers.training_range import out_of_range
@@ -106,6 +106,14 @@ class LearnedSolver(TrainedSolver):
     def knows_surfaces(self) -> bool:
         """Whether it takes obstacles and terrain: a simulator that sees surfaces."""
         return self.checkpoint.simulator.config.walls == "surfaces"
+
+    def reduced(self, scene: Scene) -> Reduction:
+        """Return what is run: the slice for two dimensions, else a half for each mirror plane of a scene.
+
+        A smooth wall stands in for a mirror, so halves are for those that see surfaces and know smooth ones.
+        """
+        reduction = super().reduced(scene)
+        return halve_scene(scene) if self.knows_surfaces and reduction.scene is scene else reduction
 
     def file(self) -> Path | None:
         """Return the checkpoint's file."""

@@ -44,13 +44,13 @@ class Reduction:
     mirrors: tuple[int, ...] = ()
 
     def project(self, position: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the positions of one layer of a lifted slice [T, N, 2] [m]; what came in if this is no slice.
+        """Return the positions that a slice or a half was run with, of those it was lifted to [T, N, 2 or 3] [m].
 
         Args:
-            position: of all layers, or of the scene itself [T, M, D] [m].
+            position: of all layers, of a half and its images, or of the scene itself [T, M, D] [m].
         """
         if self.across is None:
-            return position
+            return position[:, : position.shape[1] >> len(self.mirrors)]  # images stand behind (`_both`)
         layers = len(np.unique(position[0, :, self.across]))
         return np.delete(position[:, ::layers], self.across, axis=2)
 
