@@ -34,7 +34,7 @@ FINE_ERROR = 0.03
 FINE_ERRORS = {"front": FINE_ERROR, "map": 0.02, "height": 0.035, WORSE: FINE_ERROR}
 """The same of every quantity: of map and height the root mean square of what the chart's references are unsure of."""
 
-TERRAIN_ERRORS = {"front": 0.03, "map": 0.05, "height": 0.08, WORSE: 0.05}
+TERRAIN_ERRORS = {"front": 0.02, "map": 0.07, "height": 0.06, WORSE: 0.07}
 """Of the references on terrains, MPM on cells of √(L0 H0)/13: the root mean square of what they are unsure of."""
 
 LEARNED = ("learned", "corrected", "hybrid")
