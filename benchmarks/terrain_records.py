@@ -47,7 +47,7 @@ def errors_table(records: Sequence[Record]) -> str:
             record = found.get((solver, scene))
             cells.append(
                 "–" if record is None
-                else f"{100 * record.runout_error:+.0f} %, {100 * record.map_error:.0f} %, {record.seconds:.2g} s"
+                else f"{round(100 * record.runout_error):+d} %, {100 * record.map_error:.0f} %, {record.seconds:.2g} s"
             )  # fmt: skip
         lines.append(f"| `{solver}` | {' | '.join(cells)} |")
     return "\n".join(lines)

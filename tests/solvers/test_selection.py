@@ -276,7 +276,7 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_the_packages_records_are_of_its_ways() -> None:
     records = read_records(RECORDS)
-    assert {each.kind for each in records} == {"plane", "space"}
+    assert {each.kind for each in records} == {"plane", "space", "terrain"}
     assert {"collapse", "collapse_plane", "corrected_plane"} <= {each.solver for each in records}
     assert all(np.isfinite(each.runout_error) and each.seconds > 0 for each in records)
     with pytest.raises(InputError, match="is no table"):
