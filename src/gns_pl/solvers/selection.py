@@ -217,7 +217,7 @@ def choose(options: Sequence[Option], tolerance: float, of: str = WORSE) -> tupl
     learned = [option for option in options if option.solver.group in LEARNED]
     prefix = ""
     if learned and all(option.reason is not None for option in learned):
-        prefix = "the scene is outside the range of every learned solver, so MPM runs it: "
+        prefix = "the scene is outside the range of every learned solver, so none of these runs it: "
     candidates = [option for option in trusted if of in option.errors]
     promised = bool(candidates)
     if not promised:
@@ -247,7 +247,7 @@ def choose(options: Sequence[Option], tolerance: float, of: str = WORSE) -> tupl
     why = f"{prefix}the cheapest of {len(good)} that meet {within}"
     if good[0].terrains:
         names = ", ".join(good[0].terrains)
-        why += f", as measured on other terrains ({names}), each of its numbers among theirs and none of them this one"
+        why += f", as measured on terrains ({names}) among whose numbers its own lie"
     promise = ("front", "map") if of == WORSE else (of,)
     others = {other: error for other, error in good[0].errors.items() if other not in (*promise, WORSE)}
     return good[0], f"{why}; without a promise: up to {listed(others)}, on scenes like this one" if others else why
