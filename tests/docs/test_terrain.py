@@ -30,6 +30,7 @@ SMALLER = {
         "mpm",
     ],
     "scene=mine.yaml": ["scene=runs/terrain/landslide.yaml"],
+    "scene=barrier": ["scene=barrier", "duration=0.2"],
 }
 """Argument of the page → those in its place."""
 
@@ -41,8 +42,8 @@ def blocks(language: str) -> list[str]:
 
 def test_the_commands_lead_from_a_raster_to_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ensemble, "available_cores", lambda: 1)
-    commands, compared, chosen, _ = blocks("bash")  # the last needs AvaFrame
-    for line in (commands + compared + chosen).splitlines():
+    commands, compared, chosen, learned, _ = blocks("bash")  # the last needs AvaFrame
+    for line in (commands + compared + chosen + learned).splitlines():
         python, name, *arguments = shlex.split(line)
         smaller = [each for argument in arguments for each in SMALLER.get(argument, [argument])]
         done = call(tmp_path, name, *smaller)
