@@ -133,7 +133,10 @@ def plot_map(
     rows = math.ceil(len(shown) / columns)
     panel = PAGE / columns
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(PAGE, min(rows * ((panel - 1.2) * ratio + 0.4) + 0.8, 12.0)), layout="constrained")
+        named = {line.label: mpl.lines.Line2D([], [], color=line.colour, linestyle=line.style) for line in outlines}
+        legend = 0.6 + 0.2 * math.ceil(len(named) / 3)  # with the axis above it [inches]
+        height_of_all = min(rows * ((panel - 1.2) * ratio + 0.45) + legend, 12.0)
+        figure = Figure(figsize=(PAGE, height_of_all), layout="constrained")
         panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
         for number, (axes, layer) in enumerate(zip(panels, shown, strict=False)):
             draw_ground(axes, seen, ground[part])
@@ -148,7 +151,6 @@ def plot_map(
         for axes in panels[max(0, len(shown) - columns) : len(shown)]:  # also above one that was removed
             axes.xaxis.set_tick_params(labelbottom=True)
             axes.set_xlabel("x [m]")
-        named = {line.label: mpl.lines.Line2D([], [], color=line.colour, linestyle=line.style) for line in outlines}
         figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=min(3, len(named)))
         if title:
             figure.suptitle(title, fontsize=9)
