@@ -6,8 +6,8 @@
 
 A sweep's own report has the errors of its validation: of cubes, where cubes train. Here the best checkpoint of every
 finished job runs the columns of conf/evaluation from six placements, stabilised, against all points of the MPM that
-taught it, as `evaluate.py` does. A job that is in docs/sweep_columns.csv with the same file is not run again. A table
-for each sweep goes into docs/results.md, between marks: mean ± standard deviation over the seeds of a setting.
+taught it, as `evaluate.py` does. A file that is in docs/sweep_columns.csv is not run again, in whichever sweep it is. A
+table for each sweep goes into docs/results.md, between marks: mean ± standard deviation over the seeds of a setting.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import argparse
 import math
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -77,17 +77,18 @@ class Row:
 
 def measure(folder: Path, cache: Path, frames: Sequence[int]) -> None:
     """Add rows of a sweep to the table, every one as soon as it is measured; rows of other files are left out."""
-    jobs = [job for job in read_jobs(folder) if job.status == "finished"]
-    sweep = folder.resolve().name
+    jobs, sweep = read_jobs(folder), folder.resolve().name
     [parameter] = [name for name in swept_names(jobs) if name != SEED]
     known = read()
     before = [row for row in known if row.sweep != sweep]
     rows: list[Row] = []
     references: dict[tuple[object, ...], Reference] = {}
-    for job in jobs:
+    for job in (job for job in jobs if job.status == "finished"):
         file = job.folder / "best.ckpt"
         key = (sweep, parameter, job.parameters[parameter], int(job.parameters[SEED]), file_sha256(file))
-        own = [row for row in known if (row.sweep, row.parameter, row.value, row.seed, row.sha256) == key]
+        # Of the same file, whichever sweep it was in: one setting may stand in several.
+        same = {(row.scene, row.given): row for row in known if row.sha256 == key[-1]}
+        own = [Row(*key, *astuple(row)[len(key) :]) for row in same.values() if row.given in frames]
         rows += own
         for evaluation, split in SPLITS.items():
             config = settings(evaluation)
@@ -100,13 +101,13 @@ def measure(folder: Path, cache: Path, frames: Sequence[int]) -> None:
                 for given in frames:
                     if any((row.scene, row.given) == (scene.name, given) for row in own):
                         continue
-                    same = (scene.name, given, solver.interval, str(solver.data))
-                    if same not in references:
-                        references[same] = reference_of(
+                    setup = (scene.name, given, solver.interval, str(solver.data))
+                    if setup not in references:
+                        references[setup] = reference_of(
                             scene, solver.checkpoint, cache=cache, seed=asked["seed"], placements=asked["placements"],
                             given=given,
                         )  # fmt: skip
-                    rows.append(Row(*key, given, scene.name, split, *judge(solver, references[same], given)))
+                    rows.append(Row(*key, given, scene.name, split, *judge(solver, references[setup], given)))
                     write_table(TABLE, Row, [*before, *rows], digits=5)
                     print(rows[-1], flush=True)
     write_table(TABLE, Row, [*before, *rows], digits=5)
