@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import re
 import sys
@@ -16,15 +17,20 @@ from gns_pl.io import file_sha256
 ROOT = Path(__file__).parents[1]
 
 
+def benchmark(name: str) -> ModuleType:
+    """Return a script of benchmarks/ as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "benchmarks" / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
 @pytest.fixture(scope="module")
 def results() -> ModuleType:
     """benchmarks/results.py."""
-    spec = importlib.util.spec_from_file_location("results", ROOT / "benchmarks" / "results.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["results"] = module
-    spec.loader.exec_module(module)
-    return module
+    return benchmark("results")
 
 
 def test_every_table_is_that_of_the_measurement(results: ModuleType) -> None:
@@ -62,6 +68,23 @@ def test_no_card_gives_a_runout_error_besides_the_measured_table(results: Module
         text = results.card(model).read_text(encoding="utf-8").split("---\n", 2)[2]
         text = re.sub(r"<!-- models -->.*<!-- /models -->", "", text, flags=re.DOTALL)
         assert not re.search(r"runout[^.]*?[+−-]\d+(\.\d)? %", text), model
+
+
+def test_every_job_of_a_sweep_was_judged_on_every_column_and_the_page_shows_it(results: ModuleType) -> None:
+    sweeps = benchmark("sweep_columns")
+    rows = sweeps.read()
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    for mark, table in sweeps.tables(rows).items():
+        [shown] = re.findall(rf"<!-- {mark} -->\n(.*?)\n<!-- /{mark} -->", text, re.DOTALL)
+        assert shown == table, "python benchmarks/sweep_columns.py"
+    columns = {f"column_{aspect_ratio}" for aspect_ratio in ("0.8", "1.2", "2.0", "3.0")}
+    for sweep in {row.sweep for row in rows}:
+        own = [row for row in rows if row.sweep == sweep]
+        with (ROOT / "docs" / f"sweep_{sweep}.csv").open(newline="", encoding="utf-8") as file:
+            jobs = {(job[own[0].parameter], int(job["seed"])) for job in csv.DictReader(file)}
+        starts = {row.given for row in own}
+        judged = [(row.value, row.seed, row.given, row.scene) for row in own]
+        assert sorted(judged) == sorted((*job, given, each) for job in jobs for given in starts for each in columns)
 
 
 @pytest.mark.slow
