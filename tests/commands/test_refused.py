@@ -68,7 +68,7 @@ MISSPELT = [
     (
         "evaluate",
         ("evaluation=strss",),
-        "(did you mean stress?); options are columns, general, stress, sweep, validation.",
+        "(did you mean stress?); options are columns, general, stress, sweep, terrain, validation.",
     ),
     ("evaluate", ("ckpt=colum-fast",), "colum-fast: there is no such checkpoint (did you mean column-fast?); those"),
     ("evaluate", ("ckpt=x", "evaluation.columns.mine=1"), "added by a + before it: +evaluation.columns.mine=…"),
