@@ -9,12 +9,13 @@ import pytest
 import torch
 
 from gns_pl.data.solids import grip, surfaces_of
+from gns_pl.errors import InputError
 from gns_pl.graph import Surfaces, node_features
 from gns_pl.scene import Body, Box, Plane, Scene, Wall, signed_distance
 from gns_pl.scene.definition import FACES
 from gns_pl.scene.terrain import Terrain
 from gns_pl.training.symmetry import Symmetry
-from tests.conftest import SAND, make_random, make_static
+from tests.conftest import SAND, make_random, make_simulator, make_static
 
 RADIUS = 0.1
 ROUGH, GROUND = Wall("friction", 0.5), Wall("friction", 0.25)
@@ -200,6 +201,12 @@ def test_features_over_a_floor_are_those_of_a_box() -> None:
     near = (1 - box[:, 6:12]).clamp(0, 1)
     torch.testing.assert_close(seen_rows[:, 6:9], near[:, :3] - near[:, 3:], atol=1e-5, rtol=0)
     torch.testing.assert_close(seen_rows[:, 9:12], seen_rows[:, 6:9] / 3, atol=1e-5, rtol=0)
+
+
+def test_scenes_without_surfaces_are_refused_with_what_to_do() -> None:
+    simulator, static = make_simulator(walls="surfaces"), make_static(4)
+    with pytest.raises(InputError, match=r"make its scenes by static_of\(…, config=simulator\.config\)"):
+        simulator(torch.rand(4, simulator.history_length, 3), static)
 
 
 def test_features_over_raised_ground_are_those_over_a_floor() -> None:

@@ -84,3 +84,11 @@ def test_the_time_is_within_a_factor_of_two_of_what_was_measured() -> None:
 
 def test_of_other_scenes_nothing_is_said() -> None:
     assert forecast(solvers()[0], column(), 0.01) == []
+
+
+def test_frames_further_apart_than_the_scene_is_long() -> None:
+    """There is one frame then, and the steps are those of any other run."""
+    for solver in solvers():
+        needs, often = (needs_of(solver, SCENE, interval) for interval in (1000.0, 0.5))
+        assert needs is not None and often is not None
+        assert START < needs.seconds <= often.seconds

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gns_pl.errors import InputError
 from gns_pl.fields import ParticleType
 from gns_pl.graph.context import EMPTY, REACH, ContextGrid, context_fields
 from gns_pl.graph.features_in_loops import NodeConstants, edges_in_loops, nodes_in_loops
@@ -133,9 +134,13 @@ def node_features(
 
     Returns:
         [N, F]: velocities, distances to the lower and upper walls or what is seen of surfaces, context, type, material.
+
+    Raises:
+        InputError: surfaces are wanted, and the scenes were made without.
     """
     if surfaces:
-        assert scenes.surfaces is not None
+        if scenes.surfaces is None:
+            raise InputError("this simulator sees surfaces: make its scenes by static_of(…, config=simulator.config).")
         seen = scenes.surfaces.fields(position, scenes.batch, radius)
         level = position[:, -1] - seen.ground + scenes.of_particles(scenes.lower)[:, -1]
         in_box = node_features(

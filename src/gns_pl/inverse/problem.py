@@ -66,7 +66,7 @@ class Problem:
             num_steps: fewer or more than those of the problem.
         """
         kind, sets, start = self.simulator.velocity_scale.dtype, len(unknowns), self.start
-        static = static_of(*[start] * sets).in_precision(kind)
+        static = static_of(*[start] * sets, config=self.simulator.config).in_precision(kind)
         friction, along = unknowns.to(kind).repeat_interleave(start.num_particles, dim=0).unbind(dim=1)
         material = list(static.material.unbind(dim=1))
         material[start.material_features.index(FRICTION)] = friction

@@ -91,7 +91,8 @@ def _mpm_needs(solver: MPMSolver, scene: Scene, frames: int) -> Needs:
     grid = make_grid(scene, config.cell_size)
     item = np.dtype(config.precision).itemsize
     points, steps = solver.size(scene)
-    steps = (frames - 1) * max(MIN_STEPS_PER_FRAME, math.ceil(steps / (frames - 1)))
+    intervals = max(1, frames - 1)  # one that is longer than the scene has no second frame
+    steps = intervals * max(MIN_STEPS_PER_FRAME, math.ceil(steps / intervals))
     nodes = math.prod(grid.nodes)
     axes = grid.axes[:-1]
     lines = [grid.lower[axis] + grid.cell[axis] * np.arange(grid.nodes[axis]) for axis in axes]

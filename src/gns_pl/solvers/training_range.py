@@ -129,10 +129,12 @@ def _shape_of_ground(scene: Scene) -> tuple[float, float]:
 
 def _ground_below(scene: Scene, body: Any) -> tuple[float, float]:
     """Return the least and the largest height of the terrain, or of a floor or a cuboid's top, below a body [m]."""
-    places = np.stack(np.meshgrid(*(np.linspace(*ends, 9) for ends in zip(body.position, body.upper, strict=True))), -1)
+    places = np.stack(
+        np.meshgrid(*(np.linspace(*ends, 9) for ends in zip(body.position[:-1], body.upper[:-1], strict=True))), -1
+    )
     ground = np.full(9, scene.lower[-1])
     if scene.terrain is not None:
-        ground = np.maximum(scene.terrain.height(places.reshape(-1, scene.dim)), scene.lower[-1])
+        ground = np.maximum(scene.terrain.height(places.reshape(-1, scene.dim - 1)), scene.lower[-1])
     tops = [
         obstacle.upper[-1]
         for obstacle in scene.obstacles
