@@ -56,6 +56,24 @@ def test_what_is_drawn_is_in_range() -> None:
     assert set(cuboids) == {0, 1, 2}
 
 
+def test_layers_follow_the_ground_and_valleys_rise() -> None:
+    """Neither changes what else is drawn: the same block, hills and friction with and without them."""
+    scenes, plain = [
+        [draw(seed, step=0.0, **more) for seed in range(12)]
+        for more in ({"layer": 1.0, "far_incline_deg": [10.0, 20.0], "curve": [0.05, 0.3]}, {"curve": [0.05, 0.3]})
+    ]
+    for scene, other in zip(scenes, plain, strict=True):
+        body, block = scene.bodies[0], other.bodies[0]
+        assert (body.position[:2], scene.terrain.wall) == (pytest.approx(block.position[:2]), other.terrain.wall)
+        filled = fill_scene(scene, 0.04).position
+        above = filled[:, 2] - scene.terrain.height(filled[:, :2])
+        assert above.min() > 0 and above.max() < body.thickness <= 0.35
+        rise = scene.terrain.heights - other.terrain.heights
+        assert np.degrees(np.arctan(np.diff(rise, axis=0).max() / scene.terrain.cell)) == pytest.approx(14, abs=6)
+        assert next(out_of_range(scene, {**DATA, "families": {"ground": {**DATA["families"]["ground"], "layer": 1.0,
+            "far_incline_deg": [10.0, 20.0], "curve": [0.03, 0.3]}}}), None) is None  # fmt: skip
+
+
 def test_what_is_beyond_is_told() -> None:
     """Steeper, rougher and slipperier ground than the family's, and walls that stick."""
     scene = draw(1, step=0.0, barrier=0.0)

@@ -52,7 +52,7 @@ KINDS: dict[str, Kind] = {
     "ground_release": Kind(
         sample_ground_release,
         ("domain", "length", "height", "duration", "incline_deg", "friction"),
-        ("hill", "step", "barrier"),
+        ("hill", "step", "barrier", "curve", "layer", "far_incline_deg"),
     ),
     "pair_release": Kind(sample_pair_release, ("domain", "length", "aspect_ratio", "at_wall", "speed", "duration")),
 }

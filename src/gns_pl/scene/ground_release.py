@@ -14,6 +14,7 @@ from gns_pl.scene.boundaries import Box, Obstacle, Wall
 from gns_pl.scene.catalogue import checked_range
 from gns_pl.scene.checks import checked_number, checked_numbers
 from gns_pl.scene.definition import Body, Material, Scene
+from gns_pl.scene.release import make_release
 from gns_pl.scene.terrain import Terrain
 
 CELL = 0.025
@@ -22,8 +23,8 @@ CELL = 0.025
 HILLS = (0.1, 0.25)
 """Shortest and longest standard deviation of round hills [m]."""
 
-RUNOUT = (0.03, 0.12)
-"""Sharpest and widest curve at the foot of an incline [m]."""
+CURVE = (0.03, 0.12)
+"""Sharpest and widest curve at the foot of an incline where a family names none [m]."""
 
 BASE = 0.02
 """Height of the lowest ground over the lower face of the box [m]."""
@@ -44,6 +45,9 @@ def sample_ground_release(
     hill: float = 0.0,
     step: float = 0.0,
     barrier: float = 0.0,
+    curve: Sequence[float] = CURVE,
+    layer: float = 0.0,
+    far_incline_deg: Sequence[float] = (0.0, 0.0),
     name: str = "ground_release",
 ) -> Scene:
     """Draw a block at the upper end of an incline that runs out on level ground, with its top level.
@@ -65,6 +69,9 @@ def sample_ground_release(
         hill: largest height or depth of the three round hills or hollows that are added [m].
         step: probability of a step below the block in the place of an incline, a twentieth to a fifth of a metre high.
         barrier: probability of a cuboid in the way, up to two tenths of a metre high.
+        curve: sharpest and widest curve at the foot of an incline [m].
+        layer: probability of a release as thick everywhere as the block's height, its top as sloped as the ground.
+        far_incline_deg: flattest and steepest incline up which the far quarter of the box rises again [degrees].
         name: name of the scene.
 
     Raises:
@@ -74,11 +81,13 @@ def sample_ground_release(
     domain = checked_numbers(owner, "domain", domain, 3)
     low, high = checked_range(owner, "length", length)
     inclines = checked_numbers(owner, "incline_deg", incline_deg, 2)
+    curves = checked_range(owner, "curve", curve)
+    far = checked_numbers(owner, "far_incline_deg", far_incline_deg, 2)
     hill = checked_number(owner, "hill", hill, 0.0)
-    if high >= min(domain[:2]) or not 0 <= inclines[0] <= inclines[1] < 60:
+    if high >= min(domain[:2]) or not all(0 <= flat <= steep < 60 for flat, steep in (inclines, far)):
         raise InputError(
             f"{owner}: lengths must fit the domain {list(domain)} m, and inclines lie between 0 and 60°, the flatter "
-            f"first, not {[low, high]} m and {list(inclines)}°."
+            f"first, not {[low, high]} m, {list(inclines)}° and {list(far)}°."
         )
     edges = generator.uniform(low, high, 2)
     rise = generator.uniform(*checked_range(owner, "height", height))
@@ -88,7 +97,7 @@ def sample_ground_release(
     stepped, barred = generator.uniform() < step, generator.uniform() < barrier
     incline = 0.0 if stepped else np.tan(np.radians(generator.uniform(inclines[0], inclines[1])))
     turn = np.radians(generator.uniform(-45, 45)) * (generator.uniform() < 0.5)
-    width = generator.uniform(*RUNOUT)
+    width = generator.uniform(*curves)
     across = generator.choice([0.0, 0.5, 1.0]) if generator.uniform() < 0.6 else generator.uniform()
     place = np.array([generator.uniform(0, 0.15) * (generator.uniform() < 0.5), across * (domain[1] - edges[1])])
     foot = max(0.5 * domain[0], place[0] + edges[0] + 0.1)
@@ -96,9 +105,14 @@ def sample_ground_release(
         (generator.uniform(0, domain[:2]), generator.uniform(*HILLS), generator.uniform(-hill, hill)) for _ in "123"
     ]
 
+    rest = generator.spawn(1)[0]  # so that these change nothing of what else is drawn
+    layered, far_rise = rest.uniform() < layer, np.tan(np.radians(rest.uniform(*far)))
+
     def shape(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         along = (foot - x) * np.cos(turn) + (0.5 * domain[1] - y) * np.sin(turn)
+        beyond = x - 0.75 * domain[0]
         heights: NDArray[np.float64] = incline * width * np.logaddexp(0, along / width)
+        heights = heights + far_rise * width * np.logaddexp(0, beyond / width)
         for (at_x, at_y), reach, size in hills:
             heights = heights + size * np.exp(-((x - at_x) ** 2 + (y - at_y) ** 2) / (2 * reach**2))
         return heights
@@ -126,6 +140,9 @@ def sample_ground_release(
     if highest > domain[2]:
         raise InputError(f"{owner}: the block reaches up to {highest:.3g} m, above the domain {list(domain)} m.")
     body = Body((*place, bottom), (*edges, highest - bottom), (0.0, 0.0, 0.0))
+    if layered and not stepped:
+        corners = [place + edges * corner for corner in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        body = make_release(terrain, thickness=rise, outline=[[corner.tolist() for corner in corners]])
     return Scene(
         name=name,
         lower=(0.0, 0.0, 0.0),
@@ -146,6 +163,7 @@ def ground_limits(family: Mapping[str, Any]) -> tuple[float, float]:
     Args:
         family: keywords of `sample_ground_release`.
     """
-    incline, hill = math.tan(math.radians(family["incline_deg"][1])), family.get("hill", 0.0)
+    inclines = [family["incline_deg"][1], family.get("far_incline_deg", (0.0, 0.0))[1]]
+    incline, hill = math.tan(math.radians(max(inclines))), family.get("hill", 0.0)
     steepest = incline + hill * math.exp(-0.5) / HILLS[0]
-    return math.degrees(math.atan(steepest)), incline / (4 * RUNOUT[0]) + hill / HILLS[0] ** 2
+    return math.degrees(math.atan(steepest)), incline / (4 * family.get("curve", CURVE)[0]) + hill / HILLS[0] ** 2
