@@ -56,6 +56,10 @@ def places(number: int, dim: int) -> torch.Tensor:
     return torch.from_numpy(np.random.default_rng(0).uniform(0, 0.9, (number, dim)))
 
 
+def speeds(number: int, dim: int) -> torch.Tensor:
+    return torch.from_numpy(np.random.default_rng(1).normal(0, 1, (number, dim)))
+
+
 def seen(scene: Scene) -> Surfaces:
     return surfaces_of(scene, 0.05).in_precision(torch.float64)
 
@@ -64,12 +68,18 @@ def seen(scene: Scene) -> Surfaces:
 def test_sums_are_those_of_all_surfaces(dim: int) -> None:
     """Each pushes along its normal by 1 − d / R, and holds by its friction as well."""
     scene, position = furnished(dim), places(300, dim)
-    approach, held = np.zeros((300, dim)), np.zeros((300, dim))
+    approach, held, contact, falling = *np.zeros((3, 300, dim)), speeds(300, dim)
 
     def add(distance: np.ndarray, normal: np.ndarray, wall: Wall) -> None:
-        nonlocal approach, held
-        pushed = np.clip(1 - distance / RADIUS, 0, 1.5)[:, None] * normal
-        approach, held = approach + pushed, held + grip(wall) * pushed
+        nonlocal approach, held, contact
+        weight = np.clip(1 - distance / RADIUS, 0, 1.5)
+        approach, held = approach + weight[:, None] * normal, held + grip(wall) * weight[:, None] * normal
+        for row, (fall, up) in enumerate(zip(falling.numpy(), normal, strict=True)):
+            into, along = -(fall @ up), fall - (fall @ up) * up
+            if into > 0:  # Coulomb's law of a single particle
+                most = np.inf if wall.condition == "stick" else wall.friction * into
+                stopped = along * min(1.0, most / np.linalg.norm(along))
+                contact[row] += weight[row] * (into * up - stopped)
 
     assert scene.terrain is not None
     for axis in range(dim):
@@ -79,10 +89,27 @@ def test_sums_are_those_of_all_surfaces(dim: int) -> None:
     for obstacle in scene.obstacles:
         add(*signed_distance(obstacle, position.numpy()), obstacle.wall)
     add(*scene.terrain.signed_distance(position.numpy()), GROUND)
-    found = seen(scene).fields(position, torch.zeros(300, dtype=torch.int64), RADIUS)
+    found = seen(scene).fields(position, torch.zeros(300, dtype=torch.int64), RADIUS, falling)
+    assert found.contact is not None
+    np.testing.assert_allclose(found.contact.numpy(), contact, atol=1e-3)  # a wall that sticks has a friction of 1,000
     np.testing.assert_allclose(found.approach.numpy(), approach, atol=1e-6)
     np.testing.assert_allclose(found.grip.numpy(), held, atol=1e-6)
     assert np.abs(approach).max() > 1
+
+
+@pytest.mark.parametrize("degrees", [10.0, 30.0])
+def test_a_particle_on_an_incline_slides_as_a_block(degrees: float) -> None:
+    """What its contact leaves of a step's gravity is g (sin θ − μ cos θ) Δt along the slope, or nothing."""
+    angle, step = np.radians(degrees), 9.81 * 0.02
+    along = np.linspace(-0.5, 1.5, 81)
+    scene = make_scene(2, terrain=Terrain(0.1 + np.tan(angle) * along, (-0.5,), 0.025, GROUND))
+    place = torch.tensor([[0.4, 0.1 + 0.4 * np.tan(angle)]])
+    falling = torch.tensor([[0.0, -step]], dtype=torch.float64)
+    contact = seen(scene).fields(place, torch.zeros(1, dtype=torch.int64), RADIUS, falling).contact
+    assert contact is not None
+    left = max(0.0, np.sin(angle) - 0.25 * np.cos(angle)) * step
+    expected = -left * torch.tensor([[np.cos(angle), np.sin(angle)]])
+    torch.testing.assert_close(falling + contact, expected, atol=1e-6, rtol=0)
 
 
 def test_friction_of_walls() -> None:
@@ -111,8 +138,10 @@ def test_plane_and_terrain_of_one_slope_are_alike() -> None:
     plane = make_scene(obstacles=(Plane((0.0, 0.0, 0.1), normal, GROUND),))
     position = places(200, 3)
     position[:, 2] += 0.4  # away from the box's own floor, which the terrain takes the place of
-    batch = torch.zeros(200, dtype=torch.int64)
-    one, other = (seen(scene).fields(position, batch, RADIUS) for scene in (plane, make_scene(terrain=incline(3))))
+    batch, fall = torch.zeros(200, dtype=torch.int64), speeds(200, 3)
+    one, other = (
+        seen(scene).fields(position, batch, RADIUS, fall) for scene in (plane, make_scene(terrain=incline(3)))
+    )
     for left, right in zip(one, other, strict=True):
         torch.testing.assert_close(left, right, atol=1e-6, rtol=0)
 
@@ -120,13 +149,14 @@ def test_plane_and_terrain_of_one_slope_are_alike() -> None:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_scenes_of_a_batch_are_seen_as_alone(dim: int) -> None:
     scenes = [furnished(dim), make_scene(dim), make_scene(dim, terrain=incline(dim))]
-    position = places(3 * 50, dim)
+    position, fall = places(3 * 50, dim), speeds(3 * 50, dim)
     together = Surfaces.joined([seen(scene) for scene in scenes])
-    found = together.fields(position, torch.arange(3).repeat_interleave(50), RADIUS)
+    found = together.fields(position, torch.arange(3).repeat_interleave(50), RADIUS, fall)
     out = together.keep_out(position, torch.arange(3).repeat_interleave(50))
     for number, scene in enumerate(scenes):
         rows, own = slice(50 * number, 50 * number + 50), torch.zeros(50, dtype=torch.int64)
-        for all_of_them, alone in zip(found, seen(scene).fields(position[rows], own, RADIUS), strict=True):
+        by_itself = seen(scene).fields(position[rows], own, RADIUS, fall[rows])
+        for all_of_them, alone in zip(found, by_itself, strict=True):
             torch.testing.assert_close(all_of_them[rows], alone)
         torch.testing.assert_close(out[rows], seen(scene).keep_out(position[rows], own))
 
@@ -151,7 +181,10 @@ def test_what_is_inside_is_put_onto_the_surface() -> None:
 def test_derivatives(dim: int) -> None:
     position = places(40, dim).requires_grad_()
     surfaces, batch = seen(furnished(dim)), torch.zeros(40, dtype=torch.int64)
-    assert torch.autograd.gradcheck(lambda place: tuple(surfaces.fields(place, batch, RADIUS)), position)
+    fall = speeds(40, dim).requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda *given: tuple(surfaces.fields(given[0], batch, RADIUS, given[1])), (position, fall)
+    )
     assert torch.autograd.gradcheck(lambda place: surfaces.keep_out(place, batch), position)
 
 
@@ -164,9 +197,12 @@ def test_mirrored_scenes_are_seen_mirrored() -> None:
     symmetry = Symmetry.sample(static, make_random(static), position.dtype)
     turned = surfaces.turned(symmetry.sign.double(), symmetry.offset.double(), symmetry.order)
     moved = symmetry.turned(position[:, None], static.batch)[:, 0]
-    before, after = surfaces.fields(position, static.batch, RADIUS), turned.fields(moved, static.batch, RADIUS)
+    fall = speeds(number * graphs, 3)
+    turned_fall = symmetry.turned(fall[:, None], static.batch, vectors=True)[:, 0]
+    before = surfaces.fields(position, static.batch, RADIUS, fall)
+    after = turned.fields(moved, static.batch, RADIUS, turned_fall)
     torch.testing.assert_close(after.ground, before.ground)
-    for name in ("approach", "grip"):
+    for name in ("approach", "grip", "contact"):
         expected = symmetry.turned(getattr(before, name)[:, None], static.batch, vectors=True)[:, 0]
         torch.testing.assert_close(getattr(after, name), expected)
     out = symmetry.turned(surfaces.keep_out(position, static.batch)[:, None], static.batch)[:, 0]

@@ -96,11 +96,18 @@ def in_precision(history: Tensor, scenes: SceneBatch, dtype: torch.dtype) -> tup
 
 
 def node_width(
-    *, dim: int, input_sequence_length: int, num_particle_types: int, num_material_features: int, context: bool
+    *,
+    dim: int,
+    input_sequence_length: int,
+    num_particle_types: int,
+    num_material_features: int,
+    context: bool,
+    contacts: bool = False,
 ) -> int:
     """Return F of `node_features`."""
     types = num_particle_types if num_particle_types > 1 else 0
-    return (input_sequence_length - 1) * dim + 2 * dim + (4 + dim) * int(context) + types + num_material_features
+    walls = (3 if contacts else 2) * dim
+    return (input_sequence_length - 1) * dim + walls + (4 + dim) * int(context) + types + num_material_features
 
 
 def node_features(
@@ -115,6 +122,7 @@ def node_features(
     material_scale: Tensor,
     context: bool,
     surfaces: bool = False,
+    contact_dt: float | None = None,
 ) -> Tensor:
     """Return what a particle knows of itself (Sanchez-Gonzalez et al. 2020, section 3).
 
@@ -131,6 +139,7 @@ def node_features(
             height below within `EMPTY` radii and the density of particles, in units of one per cell of the lattice.
         surfaces: in the place of distances to the walls stand `approach` and `grip` of `scenes.surfaces`, and the
             context is that over the ground: heights are less those of the ground below, as if it had been levelled.
+        contact_dt: time of a step [s], where `contact` of `scenes.surfaces` is wanted beside them; else None.
 
     Returns:
         [N, F]: velocities, distances to the lower and upper walls or what is seen of surfaces, context, type, material.
@@ -141,7 +150,10 @@ def node_features(
     if surfaces:
         if scenes.surfaces is None:
             raise InputError("this simulator sees surfaces: make its scenes by static_of(…, config=simulator.config).")
-        seen = scenes.surfaces.fields(position, scenes.batch, radius)
+        falling = None
+        if contact_dt is not None:
+            falling = velocity[:, -1] + contact_dt * scenes.of_particles(scenes.gravity)
+        seen = scenes.surfaces.fields(position, scenes.batch, radius, falling)
         level = position[:, -1] - seen.ground + scenes.of_particles(scenes.lower)[:, -1]
         in_box = node_features(
             velocity,
@@ -155,7 +167,8 @@ def node_features(
             context=context,
         )
         motion, _, rest = in_box.tensor_split(_wall_columns(velocity), dim=1)
-        return torch.cat([motion, seen.approach, seen.grip, rest], dim=1)
+        contact = [] if seen.contact is None else [seen.contact / velocity_scale]
+        return torch.cat([motion, seen.approach, seen.grip, *contact, rest], dim=1)
     kinds = particle_types if len(particle_types) > 1 else ()
     able = compiles(velocity, position, scenes.material, backward=True)
     able = able and compiles(velocity_scale, material_scale, scenes.lower, scenes.upper, scenes.volume)

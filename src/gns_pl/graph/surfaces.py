@@ -28,11 +28,15 @@ class SurfaceFields(NamedTuple):
         approach: Σ w n [N, D], w = 1 − d / R cut at 0, over surfaces with the distance d and the normal n.
         grip: Σ w s n [N, D], s = μ / (1 + μ) of Coulomb friction μ: 0 where all slips, 1 where all sticks.
         ground: height of the highest surface below [N] [m].
+        contact: Σ w j [N, D] [m/s]; j is what a surface adds to the velocity of a single particle that would otherwise
+            reach it, by Coulomb's law: all of the normal part, and of the sliding no more than μ times as much. None
+            where nobody asked.
     """
 
     approach: Tensor
     grip: Tensor
     ground: Tensor
+    contact: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -108,13 +112,15 @@ class Surfaces:
         """Return the surfaces of scenes that are mirrored and turned; arguments as `turn`, of ones that are not yet."""
         return replace(self, turn=(sign, offset, order))
 
-    def fields(self, position: Tensor, batch: Tensor, radius: float) -> SurfaceFields:
+    def fields(self, position: Tensor, batch: Tensor, radius: float, falling: Tensor | None = None) -> SurfaceFields:
         """Return what particles know of the surfaces around them.
 
         Args:
             position: [N, D] [m].
             batch: scene of every particle [N].
             radius: within which surfaces are seen, R [m].
+            falling: velocity that particles would have after a step without any contact [N, D] [m/s]; None where
+                `contact` is not wanted.
         """
         own, place = self._own(batch), self._back(position, batch)
         distances, normals, ground = self._planes(place, own)
@@ -126,7 +132,11 @@ class Surfaces:
         approach = (weight[..., None] * normals).sum(dim=1)
         held = ((weight * grip)[..., None] * normals).sum(dim=1)
         ground = torch.stack([ground, top, height]).amax(dim=0)
-        return SurfaceFields(self._there(approach, batch), self._there(held, batch), ground)
+        contact = None
+        if falling is not None:
+            impulse = _coulomb(self._without_turn(falling, batch)[:, None], normals, grip)
+            contact = self._there((weight[..., None] * impulse).sum(dim=1), batch)
+        return SurfaceFields(self._there(approach, batch), self._there(held, batch), ground, contact)
 
     def keep_out(self, position: Tensor, batch: Tensor) -> Tensor:
         """Return positions of which those inside something rigid are put onto its surface [N, D] [m].
@@ -159,6 +169,13 @@ class Surfaces:
             return position
         sign, offset, order = (tensor[self._own(batch)] for tensor in self.turn)
         return sign * (torch.zeros_like(position).scatter(-1, order.expand_as(position), position) - offset)
+
+    def _without_turn(self, vector: Tensor, batch: Tensor) -> Tensor:
+        """Return vectors as they were before their scenes were turned [N, D]."""
+        if self.turn is None:
+            return vector
+        sign, _, order = (tensor[self._own(batch)] for tensor in self.turn)
+        return sign * torch.zeros_like(vector).scatter(-1, order.expand_as(vector), vector)
 
     def _there(self, vector: Tensor, batch: Tensor) -> Tensor:
         """Return vectors after their scenes were turned [N, D]."""
@@ -230,6 +247,22 @@ FAR = 1e6
 
 _PADDED = {"normal": 0.0, "offset": -FAR, "plane_grip": 0.0, "lower": FAR, "upper": 2 * FAR, "cuboid_grip": 0.0}
 """What has one entry for every plane or cuboid → the value of one that is out of reach."""
+
+
+def _coulomb(velocity: Tensor, normal: Tensor, grip: Tensor) -> Tensor:
+    """Return what contacts add to velocities, u → u − u_n n − min(1, μ |u_n| / |u_t|) u_t where u_n < 0 [N, S, D].
+
+    Args:
+        velocity: u [N, 1, D] [m/s].
+        normal: n, out of the surfaces [N, S, D].
+        grip: s = μ / (1 + μ) of them [N or 1, S].
+    """
+    along = (velocity * normal).sum(dim=2, keepdim=True)
+    press = (-along).clamp_min(0)
+    sliding = velocity - along * normal
+    speed = (sliding.square().sum(dim=2, keepdim=True) + 1e-12).sqrt()
+    friction = (grip / (1 - grip).clamp_min(1e-3))[..., None]
+    return press * normal - (friction * press / speed).clamp_max(1) * sliding
 
 
 def _padded(tensor: Tensor, number: int, value: float) -> Tensor:

@@ -11,7 +11,7 @@ from gns_pl.errors import InputError
 from gns_pl.nn import DEFAULT_NETWORK
 
 OUTPUTS = ("acceleration", "gated")
-WALLS = ("box", "surfaces")
+WALLS = ("box", "surfaces", "contacts")
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ class SimulatorConfig:
         context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
         walls: what is known of walls. "box": distances to the faces of the box, of one condition; "surfaces": distance,
-            normal and friction of faces, obstacles and terrain within the radius (`graph.surfaces`).
+            normal and friction of faces, obstacles and terrain within the radius (`graph.surfaces`); "contacts": these,
+            and what each of them would do to a single particle that touches it, by Coulomb's law.
         network: from features to the output: a registered name, "module.Class", or a mapping of "_target_" and options
             (`nn.network`).
 
@@ -63,6 +64,11 @@ class SimulatorConfig:
 
     self_loops: ClassVar[bool] = False
     """Its graphs have edges from a particle to itself."""
+
+    @property
+    def sees_surfaces(self) -> bool:
+        """Whether obstacles and terrain are known, and not the faces of the box alone."""
+        return self.walls != "box"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particle_types", tuple(self.particle_types))

@@ -86,6 +86,7 @@ class Simulator(nn.Module):
             num_particle_types=len(config.particle_types),
             num_material_features=len(config.material_features),
             context=config.context,
+            contacts=config.walls == "contacts",
         )
 
     def fit_statistics(self, moments: Mapping[str, Any], *, gravity: float, noise_std: float, material: Tensor) -> None:
@@ -157,7 +158,8 @@ class Simulator(nn.Module):
             particle_types=config.particle_types,
             material_scale=self.material_scale,
             context=config.context,
-            surfaces=config.walls == "surfaces",
+            surfaces=config.sees_surfaces,
+            contact_dt=config.dt if config.walls == "contacts" else None,
         )
         return node, edge_index
 
@@ -184,7 +186,8 @@ class Simulator(nn.Module):
         """Return in a word what each column of `state` is about."""
         config = self.config
         names = ["velocity"] * (config.dim * (config.input_sequence_length - 1))
-        walls = ("walls", "walls") if config.walls == "box" else ("surfaces", "friction of surfaces")
+        walls = ("surfaces", "friction of surfaces") if config.sees_surfaces else ("walls", "walls")
+        walls += ("contact",) if config.walls == "contacts" else ()
         names += [name for name in walls for _ in range(config.dim)]
         if config.context:
             names += ["floor", "overburden", "empty height", "density", *["momentum above"] * config.dim]

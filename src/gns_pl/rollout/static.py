@@ -18,7 +18,7 @@ def static_of(*trajectories: Trajectory, config: SimulatorConfig | None = None) 
         config: of the simulator that steps them; None for one that knows the box alone.
     """
     scenes = [trajectory.scene for trajectory in trajectories]
-    seen = config.spacing if config is not None and config.walls == "surfaces" else None
+    seen = config.spacing if config is not None and config.sees_surfaces else None
     numbers = torch.tensor([trajectory.num_particles for trajectory in trajectories])
     return SceneBatch(
         particle_type=torch.cat([torch.from_numpy(trajectory.particle_type) for trajectory in trajectories]),

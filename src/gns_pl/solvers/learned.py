@@ -105,7 +105,7 @@ class LearnedSolver(TrainedSolver):
     @property
     def knows_surfaces(self) -> bool:
         """Whether it takes obstacles and terrain: a simulator that sees surfaces."""
-        return self.checkpoint.simulator.config.walls == "surfaces"
+        return self.checkpoint.simulator.config.sees_surfaces
 
     def reduced(self, scene: Scene) -> Reduction:
         """Return what is run: the slice for two dimensions, else a half for each mirror plane of a scene.

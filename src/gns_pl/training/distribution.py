@@ -80,7 +80,7 @@ def add_distribution(path: str | Path, directory: Path, out: Path) -> str | None
         start_repeats=training["start_repeats"],
         moving_repeats=training["moving_repeats"],
         in_memory=False,
-        cell=config.spacing if config.walls == "surfaces" else None,
+        cell=config.spacing if config.sees_surfaces else None,
     )
     source, symmetry = manifest_sha256(directory), training["optimisation"]["symmetry"]
     seed = int(provenance["config"].get("seed", 0))

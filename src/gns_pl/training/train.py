@@ -243,7 +243,7 @@ def build_data(directory: Path, training: TrainingConfig, model: Mapping[str, An
         memory_limit=training.memory_limit,
         num_train=training.num_train,
         seed=seed,
-        surfaces=model.get("walls", "box") == "surfaces",
+        surfaces=model.get("walls", "box") != "box",
     )
     datamodule.setup("fit")
     return datamodule
