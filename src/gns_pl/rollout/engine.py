@@ -23,6 +23,7 @@ from gns_pl.models.config import SimulatorConfig
 from gns_pl.rollout.failure import Failure, Watch
 from gns_pl.rollout.rest import Rest
 from gns_pl.rollout.static import static_of
+from gns_pl.rollout.statics import is_resting_heap
 from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene.refusals import check_bare
 from gns_pl.trajectory import Trajectory, ballistic_history
@@ -54,15 +55,19 @@ def history_of(run: Run, config: SimulatorConfig, frames: int = 0) -> Tensor:
     Args:
         run: the scene.
         config: of the simulator.
-        frames: that are wanted, if more than H: of those before, the ones that were never made are NaN.
+        frames: that are wanted, if more than H: of those before, the ones that were never made are NaN, except those of
+            a heap that rests (`statics`), which has been where it is.
     """
     length, start = config.input_sequence_length, run.start
     recent = start.position[:1] if run.past is None else run.past[-max(length, frames) :]
     before = ballistic_history(start.position[0], start.initial_velocity, config.dt, length)[:-1]
     # A run that goes on early still looks back before its first frame, as the single run does.
     positions = np.concatenate([before, recent])[-max(length, frames) :]
-    missing = np.full((max(0, frames - len(positions)), *recent.shape[1:]), np.nan)
-    positions = np.concatenate([missing, positions]).astype(np.float32)
+    if len(positions) < frames:
+        still = is_resting_heap(start)
+        missing = np.full_like(positions[:1], np.nan) if not still else positions[:1]
+        positions = np.concatenate([missing.repeat(frames - len(positions), axis=0), positions])
+    positions = positions.astype(np.float32)
     return torch.from_numpy(positions).transpose(0, 1).contiguous()
 
 
