@@ -9,14 +9,17 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
+from gns_pl.data.solids import surfaces_of
 from gns_pl.errors import InputError
+from gns_pl.graph import Surfaces
 from gns_pl.models.simulator import Simulator
-from gns_pl.rollout import Run, rollout
+from gns_pl.rollout import Run, rollout, unroll
 from gns_pl.rollout.engine import history_of, static_of
 from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.scene import Scene
 from tests.conftest import CallStepper, make_simulator, make_start
+from tests.rollout.test_loops import without_loops
 
 
 def wild() -> Simulator:
@@ -37,6 +40,58 @@ def test_free_fall_is_left_alone(drop: Scene) -> None:
     plain = rollout(simulator, start, 12).position
     stable = stabilise(simulator, energy_limiter=True, min_distance=0.2)
     np.testing.assert_array_equal(rollout(stable, start, 12).position, plain)
+
+
+@pytest.mark.parametrize("loops", [True, False])
+def test_the_centre_of_mass_of_what_flies_falls_freely(
+    drop: Scene, column: Scene, loops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """x(k Δt) = x0 + k v Δt + g Δt² k (k + 1) / 2 until a wall may be felt, whatever pushes the particles around."""
+    if not loops:
+        without_loops(monkeypatch)
+    start, beside = make_start(drop), make_start(column)
+    stable, radius = stabilise(wild(), min_distance=0.2), wild().config.connectivity_radius
+    with torch.inference_mode():
+        parts = list(unroll(stable, [Run(start, 30), Run(beside, 30)]))
+    position = np.concatenate([start.position, np.stack([part[0].numpy() for part in parts])]).astype(np.float64)
+    room = np.minimum(position - drop.lower, np.array(drop.upper) - position).min(axis=(1, 2))
+    flight = int((room <= radius).argmax())  # the first frame near a wall
+    assert flight > 6
+    count = np.arange(flight)[:, None]
+    free = position[0].mean(axis=0) + count * 0.01 * np.array(drop.bodies[0].velocity)
+    free[:, 2:] -= 9.81 * 0.01**2 * count * (count + 1) / 2
+    np.testing.assert_allclose(position[:flight].mean(axis=1), free, atol=2e-4, rtol=0)
+    raw = rollout(wild(), start, 6).position[6].mean(axis=0)
+    assert np.abs(raw - free[6]).max() > 2e-3
+    others = rollout(stabilise(wild(), min_distance=0.2), beside, 30).position[-1]  # the column stands at walls
+    np.testing.assert_allclose(parts[-1][1].numpy(), others, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("loops", [True, False])
+def test_what_stands_in_the_box_or_moves_by_a_script_may_push(
+    drop: Scene, loops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not loops:
+        without_loops(monkeypatch)
+    start, simulator = make_start(drop), make_simulator(particle_types=(3, 6))
+    aside = torch.tensor([0.0, 0.004, 0.0])
+    stable = stabilise(
+        CallStepper(simulator, lambda history, _: 2 * history[:, -1] - history[:, -2] + aside), sleep=0.1
+    )
+    history = history_of(Run(start, 1), simulator.config, stable.history_length)
+    scripted = np.where(np.arange(start.num_particles) < 2, 3, 6)
+    surfaces = Surfaces.joined([surfaces_of(drop, simulator.config.spacing)])
+    scenes = {
+        "free": static_of(start),
+        "a level floor": replace(static_of(start), surfaces=surfaces),
+        "an obstacle": replace(static_of(start), surfaces=replace(surfaces, inner=True)),
+        "a script": static_of(replace(start, particle_type=scripted)),
+    }
+    fall = torch.tensor([0.0, 0.0, -9.81e-4])
+    for name, scene in scenes.items():
+        moved = (stable(history, scene) - 2 * history[:, -1] + history[:, -2])[-1]
+        expected = fall if name in ("free", "a level floor") else aside
+        torch.testing.assert_close(moved, expected, atol=1e-6, rtol=0, msg=name)
 
 
 @pytest.mark.parametrize("thrown", [(0.0, 0.0, 2.0), (0.0, 0.0, -2.0), (1.0, 0.0, 0.0)])

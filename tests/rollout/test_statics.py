@@ -29,7 +29,7 @@ def wedge(scene: Scene, slope_deg: float, height: float = 0.5, lifted: float = 0
     x, _, z = whole.position[0].T
     kept = z < height - x * math.tan(math.radians(slope_deg))
     arrays = ("particle_type", "material", "mass", "initial_velocity")
-    position = whole.position[:, kept] + np.float32([0.0, 0.0, lifted])
+    position = whole.position[:, kept] + np.array([0.0, 0.0, lifted], dtype=np.float32)
     return replace(whole, position=position, **{name: getattr(whole, name)[kept] for name in arrays})
 
 

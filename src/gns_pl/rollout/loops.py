@@ -82,6 +82,61 @@ def move_apart(
 
 
 @compile_function
+def flight_offset(
+    dt: float, radius: float, rounding: float, earlier: Any, before: Any, position: Any, volume: Any, moved: Any,
+    batch: Any, gravity: Any, lower: Any, upper: Any,
+) -> Any:  # fmt: skip
+    """Return how far every scene's centre of mass is from free flight; 0 where something is near a wall [B, D] [m].
+
+    Args:
+        dt: time of the step [s].
+        radius: near [m].
+        rounding: share of a box's edge that is nothing.
+        earlier: positions before the step before [N, D] [m].
+        before: before the step.
+        position: behind it.
+        volume: weights [N].
+        moved: particles that a simulator moves [N] bool.
+        batch: scene of every particle [N].
+        gravity: [B, D] [m/s²].
+        lower: corner of every box [B, D] [m].
+        upper: likewise.
+    """
+    number, dim = position.shape
+    limit, held, flying = np.float32(radius), np.zeros(len(gravity), np.bool_), len(gravity)
+    sums, weights = np.zeros((len(gravity), dim)), np.zeros(len(gravity))
+    for i in range(number):
+        box = batch[i]
+        if held[box]:
+            continue
+        free = moved[i]
+        for axis in range(dim):
+            for place in (before[i, axis], position[i, axis]):
+                free = free and place - lower[box, axis] > limit and upper[box, axis] - place > limit
+        if not free:  # or not a number
+            held[box] = True
+            flying -= 1
+            if flying == 0:
+                break
+    offset = np.zeros((len(gravity), dim), np.float32)
+    if flying == 0:
+        return offset
+    for i in range(number):
+        box = batch[i]
+        weights[box] += volume[i]
+        for axis in range(dim):
+            fall = np.float64(position[i, axis]) - 2 * np.float64(before[i, axis]) + np.float64(earlier[i, axis])
+            sums[box, axis] += volume[i] * (fall - np.float64(gravity[box, axis]) * dt * dt)
+    for box in range(len(gravity)):
+        if not held[box]:
+            for axis in range(dim):
+                mean = sums[box, axis] / weights[box]
+                if np.abs(mean) > rounding * (upper[box, axis] - lower[box, axis]):
+                    offset[box, axis] = mean
+    return offset
+
+
+@compile_function
 def slowing(
     dt: float, rounding: float, slow: Any, earlier: Any, before: Any, position: Any, volume: Any, moved: Any,
     batch: Any, gravity: Any, lower: Any, upper: Any,

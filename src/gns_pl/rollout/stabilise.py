@@ -1,7 +1,8 @@
 """What keeps a run within physical limits, without touching the network: wrappers around a step, each to be had alone.
 
 Each undoes one way in which learned runs fail (`rollout.failure`): particles on top of each other, energy out of
-nothing, heaps that never rest. docs/stability.md has what each is worth.
+nothing, heaps that never rest. docs/stability.md has what each is worth. Whichever is asked for, what flies freely
+keeps its momentum.
 
 Derivatives go through such steps as well, for training on whole runs: particles that were moved apart have those of the
 step before it (straight-through, Bengio et al. 2013), velocities that were scaled down those of the factor held.
@@ -21,7 +22,7 @@ from gns_pl.graph import SceneBatch, radius_graph
 from gns_pl.graph.cells import all_finite
 from gns_pl.machine import compiles
 from gns_pl.models.simulator import Search
-from gns_pl.rollout.loops import move_apart, slowing
+from gns_pl.rollout.loops import flight_offset, move_apart, slowing
 from gns_pl.rollout.rest import SleepingStepper
 from gns_pl.rollout.stepper import Stepper, opened
 
@@ -29,7 +30,8 @@ SWEEPS = 4
 """Times that all pairs which are too close are moved apart, in a step."""
 
 ROUNDING = 2e-6
-"""Of a scene's energy: by so much it may rise in a step, which is what single precision does to free fall."""
+"""What single precision does to free fall in a step: by so much of it a scene's energy may rise, and by so much of its
+box's edges a centre of mass may be off."""
 
 
 def stabilise(
@@ -94,7 +96,7 @@ class FoundPairs:
 
 
 class StableStepper:
-    """Steps that are corrected one after the other: distances, then energy.
+    """Steps that are corrected one after the other: momentum, distances, then energy.
 
     Args:
         stepper: makes the steps.
@@ -122,6 +124,9 @@ class StableStepper:
         if self._found is not None:
             self._found.pairs = None
         position = self._stepper(history, scenes)
+        offset = self._flight_offset(history, position, scenes)
+        if offset is not None:
+            position = torch.where(scenes.moved[:, None], position - offset, position)
         if self.min_distance:
             apart = self._apart(position.detach(), scenes)
             # The difference is zero: it takes the derivative past the shifts, and leaves the numbers as they are.
@@ -131,6 +136,34 @@ class StableStepper:
             if factor is not None:
                 position = torch.where(factor < 1, before + factor.to(position.dtype) * (position - before), position)
         return torch.where(scenes.moved[:, None], position, history[:, -1])
+
+    def _flight_offset(self, history: Tensor, position: Tensor, scenes: SceneBatch) -> Tensor | None:
+        """Return how far the centres of mass are from free flight, x + v Δt + g Δt², of every particle [N, D] [m].
+
+        None where nothing flies, if that is known without waiting. A scene flies while all of it is further than the
+        connectivity radius from every wall, before and behind the step: no force is then there but gravity and those
+        between particles, which cancel (Newton's third law). Those of a network do not. Where something rigid stands in
+        the box, or a script moves particles, nothing is known to fly. Particles weigh what they fill.
+        """
+        if scenes.surfaces is not None and scenes.surfaces.inner:
+            return None
+        earlier, before = history[:, -2], history[:, -1]
+        known, boxes = (scenes.volume, scenes.moved, scenes.batch), (scenes.gravity, scenes.lower, scenes.upper)
+        dt, radius = self.config.dt, self.config.connectivity_radius
+        if compiles(earlier, before, position, scenes.volume, *boxes):
+            tensors = (earlier, before, position, *known, *boxes)
+            offset = flight_offset(dt, radius, ROUNDING, *(tensor.numpy() for tensor in tensors))
+            return scenes.of_particles(torch.from_numpy(offset)) if offset.any() else None
+        lower, upper = scenes.of_particles(scenes.lower), scenes.of_particles(scenes.upper)
+        room = torch.minimum(torch.minimum(before, position) - lower, upper - torch.maximum(before, position))
+        held = ~(room > radius).all(dim=1) | ~scenes.moved
+        fall = position - 2 * before + earlier - scenes.of_particles(scenes.gravity) * dt**2
+        weighed = scenes.volume[:, None] * torch.cat([fall, held[:, None], torch.ones_like(fall[:, :1])], dim=1)
+        sums = weighed.new_zeros(scenes.num_graphs, weighed.shape[1], dtype=torch.float64)
+        sums = sums.index_add_(0, scenes.batch, weighed.double())
+        offset = sums[:, :-2] / sums[:, -1:]
+        off = (sums[:, -2:-1] == 0) & (offset.abs() > ROUNDING * (scenes.upper - scenes.lower))
+        return scenes.of_particles(torch.where(off, offset, 0.0).to(position.dtype))
 
     def _apart(self, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Move particles apart that are too close, each by half of what is missing, some times over."""
