@@ -94,6 +94,24 @@ def test_what_stands_in_the_box_or_moves_by_a_script_may_push(
         torch.testing.assert_close(moved, expected, atol=1e-6, rtol=0, msg=name)
 
 
+def test_derivatives_of_what_flies_are_those_without_its_mean(drop: Scene) -> None:
+    simulator, start = make_simulator(), make_start(drop)
+    history = history_of(Run(start, 1), simulator.config, frames=8)
+    shift = 0.001 + 0.001 * torch.randn(len(history), 3, generator=torch.Generator().manual_seed(0))
+    told = (2 * history[:, -1] - history[:, -2] + shift).requires_grad_()
+    made, plain = (
+        stabilise(CallStepper(simulator, lambda _history, _scenes, each=each: each), sleep=0.1)(  # type: ignore[misc]
+            history, static_of(start)
+        )
+        for each in (told, told.detach())
+    )
+    torch.testing.assert_close(made, plain, atol=1e-6, rtol=0)
+    (gradient,) = torch.autograd.grad(made[0].sum(), told)
+    expected = torch.full_like(gradient, -1 / len(history))
+    expected[0] += 1
+    torch.testing.assert_close(gradient, expected, atol=1e-6, rtol=0)
+
+
 @pytest.mark.parametrize("thrown", [(0.0, 0.0, 2.0), (0.0, 0.0, -2.0), (1.0, 0.0, 0.0)])
 def test_energy_never_rises(drop: Scene, thrown: tuple[float, float, float]) -> None:
 
