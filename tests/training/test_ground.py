@@ -34,7 +34,7 @@ GROUND = {
         "barrier": 1.0,
     }
 }
-SURFACES = ("model.walls=surfaces", "model.input_sequence_length=2", "training.rollout.num_steps=3")
+SURFACES = ("model.walls=contacts", "model.input_sequence_length=2", "training.rollout.num_steps=3")
 
 
 def config(root: Path, output: Path, *overrides: str) -> DictConfig:
@@ -84,10 +84,10 @@ def test_users_run_it_on_ground(trained: Path, ground_root: Path) -> None:
 
 def test_state_has_a_name_for_every_column(trained: Path) -> None:
     simulator = load_checkpoint(trained / "last.ckpt").simulator
-    assert simulator.config.walls == "surfaces" and simulator.config.to_dict()["walls"] == "surfaces"
-    assert simulator.state_names()[3:9] == ["surfaces"] * 3 + ["friction of surfaces"] * 3
+    assert simulator.config.walls == "contacts" and simulator.config.to_dict()["walls"] == "contacts"
+    assert simulator.state_names()[3:12] == ["surfaces"] * 3 + ["friction of surfaces"] * 3 + ["contact"] * 3
 
 
 def test_a_simulator_of_boxes_is_not_trained_on_ground(ground_root: Path, trained: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"has obstacles, which .* does not know; set model\.walls=surfaces"):
+    with pytest.raises(InputError, match=r"has obstacles, which .* does not know; set model\.walls=contacts"):
         train(config(ground_root, tmp_path, "model.walls=box"), tmp_path, None)

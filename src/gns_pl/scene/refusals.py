@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from gns_pl.scene.definition import Scene
 
 
-SEE_SURFACES = "set model.walls=surfaces"
+SEE_SURFACES = "set model.walls=contacts"
 """What whoever trains on such scenes has to do."""
 
 
