@@ -71,6 +71,7 @@ def test_a_fine_set_has_a_folder_for_every_spacing(tmp_path: Path) -> None:
         (["+data.families.cube_drop.colour=red"], "family cube_drop: unknown key colour"),
         ([f"data.root={os.devnull}"], "/dev/null: is a file, not a folder."),
         (["device=gpu"], "device must be one of auto, cpu, cuda, not 'gpu'."),
+        (["data.frame_interval=9"], "frames 9 s apart leave no frame but its start, since it lasts "),
         (["+data.every=2"], "every is 2, but the set is stored with every 1; choose one of these."),
         (["+data.store_every=[2,50]"], "lattice places, too few to keep every 50; choose less."),
     ],

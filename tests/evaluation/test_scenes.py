@@ -58,6 +58,10 @@ def test_a_scene_of_ones_own(tmp_path) -> None:
     assert list(build(files=[mine, other], only="other", data={})) == ["other"]
     with pytest.raises(InputError, match="two scenes are called 'column'"):
         build(files=[mine, mine], data={})
+    with pytest.raises(InputError, match="scene 'column': frames 99 s apart leave no frame but its start"):
+        build(files=[mine], data={}, interval=99.0)
+    with pytest.raises(InputError, match="frame_interval, the time between frames, must be a positive number, not 0"):
+        build(interval=0.0)
     with pytest.raises(InputError, match=r"nowhere\.yaml: cannot be read"):
         build(files=["nowhere.yaml"])
 

@@ -1,11 +1,12 @@
-"""Compression by own weight: closed forms, and who is told."""
+"""Compression by own weight: closed forms, and who is told; frames as far apart as a scene is large."""
 
 from __future__ import annotations
 
 import pytest
 
+from gns_pl.errors import InputError
 from gns_pl.scene import Body, Material, Scene, Wall, read_scene
-from gns_pl.scene.extent import compression_notice, frame_interval_of, own_weight_strain
+from gns_pl.scene.extent import compression_notice, frame_interval_of, num_frames, own_weight_strain
 
 SAND = Material(density=1800, youngs_modulus=2e6, poisson_ratio=0.3, friction_angle_deg=30)
 CLAY = Material(density=1600, youngs_modulus=1e6, poisson_ratio=0.0, friction_angle_deg=20)
@@ -53,3 +54,19 @@ def test_a_large_column_has_as_many_frames_as_a_small_one() -> None:
     small, large = (tower(Body((0, 0), (height, height), (0, 0))) for height in (0.3, 30.0))
     assert frame_interval_of(small) == 0.01 and frame_interval_of(large) == 0.05
     assert frame_interval_of(large.replace(gravity=(0, 0))) == 0.01
+
+
+def test_a_run_has_its_end_besides_its_start() -> None:
+    scene = tower(Body((0, 0), (10, 5), (0, 0)))  # lasts 1 s
+    assert [num_frames(scene, interval) for interval in (0.01, 0.4, 0.7, 1.0, 1 + 1e-12)] == [101, 3, 2, 2, 2]
+    for interval in (1.01, 1.9, 500.0):
+        with pytest.raises(InputError, match=f"frames {interval:g} s apart leave no frame but its start, since it las"):
+            num_frames(scene, interval)
+    for interval in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="frame_interval, the time between frames, must be a positive number"):
+            num_frames(scene, interval)
+
+
+def test_a_scene_shorter_than_the_usual_time_between_frames_still_has_an_end() -> None:
+    scene = tower(Body((0, 0), (0.3, 0.3), (0, 0))).replace(duration=0.003)
+    assert frame_interval_of(scene) == 0.003 and num_frames(scene, frame_interval_of(scene)) == 2

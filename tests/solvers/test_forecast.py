@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gns_pl.errors import InputError
 from gns_pl.io.tables import read_table
 from gns_pl.mpm.settings import place_points
 from gns_pl.scene import Terrain, read_scene
@@ -86,9 +87,10 @@ def test_of_other_scenes_nothing_is_said() -> None:
     assert forecast(solvers()[0], column(), 0.01) == []
 
 
-def test_frames_further_apart_than_the_scene_is_long() -> None:
-    """There is one frame then, and the steps are those of any other run."""
+def test_with_few_frames_the_steps_are_those_of_any_other_run() -> None:
     for solver in solvers():
-        needs, often = (needs_of(solver, SCENE, interval) for interval in (1000.0, 0.5))
+        needs, often = (needs_of(solver, SCENE, interval) for interval in (SCENE.duration, 0.5))
         assert needs is not None and often is not None
         assert START < needs.seconds <= often.seconds
+        with pytest.raises(InputError, match="leave no frame but its start"):
+            forecast(solver, SCENE, 1000.0)

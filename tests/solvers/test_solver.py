@@ -20,11 +20,13 @@ from gns_pl.rollout.policy import Policy
 from gns_pl.rollout.stabilise import stabilise
 from gns_pl.solvers import catalogue, recording
 from gns_pl.solvers.corrected import CorrectedSolver
+from gns_pl.solvers.hybrid import HybridSolver
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.recording import STATE
 from gns_pl.solvers.simulate import simulate, simulate_by_choice
 from gns_pl.solvers.solver import Solver
+from gns_pl.solvers.trivial import Still
 from tests.conftest import make_simulator
 from tests.extend.page import blocks
 from tests.solvers.test_selection import MPM, column
@@ -166,6 +168,43 @@ def test_many_scenes_are_each_one_alone() -> None:
     first, second = learned.run_many(scenes)
     np.testing.assert_allclose(second.position, learned.run(scenes[1]).position, atol=1e-5)
     assert first.scene == scenes[0]
+
+
+SOLVERS = ("mpm", "shallow", "learned", "hybrid", "corrected", "still")
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_frames_further_apart_than_a_scene_is_long_are_refused_and_a_short_scene_has_its_end(
+    name: str, tmp_path: Path
+) -> None:
+    simulator = make_simulator(dim=2, spacing=0.05, connectivity_radius=0.1)
+    learned = LearnedSolver.of(Checkpoint(simulator, {"mpm": {**MPM, "cell_size": 0.1}}, {}))
+    made: dict[str, Any] = {
+        "mpm": lambda: MPMSolver("mpm_5", 5.0, MPM),
+        "shallow": lambda: gns_pl.load_solver("shallow"),
+        "learned": lambda: learned,
+        "hybrid": lambda: HybridSolver("hybrid", learned),
+        "corrected": lambda: CorrectedSolver("corrected_plane", "corrected_plane"),
+        "still": lambda: Still("still", 5.0),
+    }
+    solver, scene = made[name](), column()  # of 0.2 s
+    for run in (solver.run, lambda scene, interval: solver.run_many([scene], interval=interval)):
+        with pytest.raises(InputError, match="frames 3 s apart leave no frame but its start, since it lasts"):
+            run(scene, interval=3.0)
+    with pytest.raises(InputError, match="frames 3 s apart leave no frame"):
+        simulate(solver, [scene.replace(name="other", duration=9.0), scene], out=tmp_path, interval=3.0)
+    assert not list(tmp_path.glob("*.h5*"))
+    (path,) = simulate(solver, [scene.replace(duration=1e-5)], out=tmp_path)
+    assert read_trajectory(path).num_frames == 2
+
+
+def test_an_end_that_frames_do_not_reach_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    choice = {"cells": [5], "mpm": MPM, "frame_interval": 0.15}
+    (path,) = simulate_by_choice([column()], out=tmp_path, choice=choice, solver="mpm_5")
+    assert "column_collapse: frames 0.15 s apart end at 0.15 s, not at 0.2 s." in capsys.readouterr().out
+    assert read_trajectory(path).num_frames == 2
+    simulate_by_choice([column()], out=tmp_path / "more", choice={**choice, "frame_interval": 0.1}, solver="mpm_5")
+    assert "not at" not in capsys.readouterr().out
 
 
 def test_names_that_nobody_has() -> None:

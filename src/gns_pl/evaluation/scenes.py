@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from gns_pl.errors import InputError
 from gns_pl.scene import Material, Scene, Wall, column_collapse, part_from_dict, read_scene
-from gns_pl.scene.extent import characteristic_time
+from gns_pl.scene.extent import characteristic_time, check_frame_interval, num_frames
 
 T = TypeVar("T")
 
@@ -40,16 +40,18 @@ def build_scenes(
         data: the specification of the checkpoint's data; its gravity, material and walls are the columns'.
 
     Raises:
-        InputError: an unknown name in `only`, no scene at all, two of one name, a scene that cannot be built, or data
-            that do not say what they are made of.
+        InputError: an unknown name in `only`, no scene at all, two of one name, a scene that cannot be built or is
+            shorter than a frame, or data that do not say what they are made of.
     """
     if not isinstance(duration, int | float) or not (math.isfinite(duration) and duration > 0):
         raise InputError(f"evaluation.duration must be positive, in characteristic times, not {duration}.")
+    check_frame_interval(interval)
     scenes: dict[str, Scene] = {}
     if files is not None:
         for file in [files] if isinstance(files, str) else files:
             scene = read_scene(file)
             characteristic_time(scene)  # refuses a scene without gravity before it is simulated
+            num_frames(scene, interval)  # and one that is shorter than a frame
             if scene.name in scenes:
                 raise InputError(f"evaluation.scenes: two scenes are called {scene.name!r}; rename one in its file.")
             scenes[scene.name] = scene

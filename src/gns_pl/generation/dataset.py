@@ -30,7 +30,7 @@ from gns_pl.io.lock import locked
 from gns_pl.io.manifest import MANIFEST_VERSION
 from gns_pl.machine import available_cores
 from gns_pl.mpm import settings as solver
-from gns_pl.scene.extent import compression_notice, largest_own_weight_strain
+from gns_pl.scene.extent import compression_notice, largest_own_weight_strain, num_frames
 
 NOTEWORTHY_BYTES = 100_000_000
 """What a process has in memory is told if it is more than this."""
@@ -115,6 +115,7 @@ def _without_leftovers(folders: Collection[Path]) -> Iterator[None]:
 
 
 def _job(folder: Path, dataset: DatasetSpec, planned: Planned, spacing: float, device: str) -> Job:
+    num_frames(planned.scene, dataset.frame_interval)  # refuses a scene that is shorter than a frame
     num_points, stored = stored_counts(planned.scene, spacing, planned.offsets)
     return Job(
         name=planned.file_name,

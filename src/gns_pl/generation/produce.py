@@ -23,6 +23,7 @@ from gns_pl.io import (
 from gns_pl.metrics.observables import CELL_SPACINGS, compute_observables
 from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import num_frames
 from gns_pl.trajectory import Trajectory
 
 
@@ -76,7 +77,7 @@ class Job:
     @property
     def bytes_per_point(self) -> int:
         """Positions of one point in all frames [bytes]."""
-        return 4 * self.scene.dim * (round(self.scene.duration / self.frame_interval) + 1)
+        return 4 * self.scene.dim * num_frames(self.scene, self.frame_interval)
 
     @property
     def num_bytes(self) -> int:

@@ -19,6 +19,7 @@ from gns_pl.io.lock import locked
 from gns_pl.machine import machine_name
 from gns_pl.mpm import settings as solver
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import num_frames
 from gns_pl.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -49,10 +50,12 @@ def reference_trajectory(
         progress: show a bar on stderr while it runs.
 
     Raises:
-        InputError: settings the solver refuses, or a damaged file in the cache.
+        InputError: settings the solver refuses, frames further apart than the scene is long, or a damaged file in the
+            cache.
         StorageError: the disk refuses.
         SimulationError: the run became non-finite.
     """
+    num_frames(scene, frame_interval)  # refuses one that leaves nothing to run
     config = solver.solver_config(mpm) if isinstance(mpm, Mapping) else mpm
     settings = dataclasses.asdict(config)
     identity = {

@@ -60,10 +60,36 @@ FRAMES, FRAMES_PER_TIME = 200, 20
 """Frames of a run on a terrain, and frames in a √(H0/g), that are enough where `FRAME_INTERVAL` gives more."""
 
 
+def check_frame_interval(interval: float) -> None:
+    """Refuse a time between frames that is no positive number [s]."""
+    if not (math.isfinite(interval) and interval > 0):
+        raise InputError(f"frame_interval, the time between frames, must be a positive number, not {interval}.")
+
+
+def num_frames(scene: Scene, interval: float) -> int:
+    """Return how many frames a run has, the start and the end among them: round(duration / interval) + 1, at least 2.
+
+    Args:
+        scene: that is run over its duration.
+        interval: time between frames [s].
+
+    Raises:
+        InputError: an interval that is not positive, or longer than the scene, which would leave the start alone.
+    """
+    check_frame_interval(interval)
+    if interval > scene.duration * (1 + 1e-9):
+        raise InputError(
+            f"scene {scene.name!r}: frames {interval:g} s apart leave no frame but its start, since it lasts "
+            f"{scene.duration:g} s; choose a frame_interval of {scene.duration:g} s or less, or a longer duration."
+        )
+    return round(scene.duration / interval) + 1
+
+
 def frame_interval_of(scene: Scene) -> float:
     """Return the time between frames where nobody says [s]: `FRAME_INTERVAL`, or more.
 
-    More, 1, 2 or 5 times a power of ten, where that is too fine for the size of a scene or the time of a slide.
+    More, 1, 2 or 5 times a power of ten, where that is too fine for the size of a scene or the time of a slide; never
+    more than the scene lasts.
     """
     wanted = FRAME_INTERVAL
     if any(scene.gravity):
@@ -71,7 +97,8 @@ def frame_interval_of(scene: Scene) -> float:
     if scene.terrain is not None:
         wanted = max(wanted, scene.duration / FRAMES)
     power = 10.0 ** math.floor(math.log10(wanted) + 1e-9)
-    return round(max(each for each in (1, 2, 5) if each * power <= wanted * (1 + 1e-9)) * power, 12)
+    factor = max(each for each in (1, 2, 5) if each * power <= wanted * (1 + 1e-9))
+    return min(scene.duration, round(factor * power, 12))
 
 
 COMPRESSION_LIMIT = 0.02

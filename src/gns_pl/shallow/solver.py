@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from typing import Any
 
@@ -14,6 +13,7 @@ from gns_pl.errors import InputError
 from gns_pl.fields import MATERIAL_FEATURES, ParticleType
 from gns_pl.scene import Scene
 from gns_pl.scene.arrays import encoded_array
+from gns_pl.scene.extent import num_frames
 from gns_pl.shallow.config import NUM_PARTICLES, ShallowConfig
 from gns_pl.shallow.plan import (
     Floats,
@@ -132,19 +132,17 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
         round(duration / frame_interval) + 1 frames of particles of equal volume.
 
     Raises:
-        InputError: a scene that cannot be run, or a frame interval that is not positive.
+        InputError: a scene that cannot be run, or a frame interval that is not positive or longer than it.
     """
     from gns_pl.shallow.particles import hammersley, place
 
-    if not (math.isfinite(frame_interval) and frame_interval > 0):
-        raise InputError(f"shallow: frame_interval must be a positive number, not {frame_interval}.")
+    number_of_frames = num_frames(scene, frame_interval)
     layer = make_start(scene, config)
     grid, height = layer.grid, layer.ground.height
     number = config.num_particles or NUM_PARTICLES[scene.dim]
     standing, means = layer.thickness.copy(), mean_heights(scene, grid)
-    num_frames = round(scene.duration / frame_interval) + 1
     axes = [0, 2] if scene.dim == 2 else [0, 1, 2]
-    frames = np.empty((num_frames, number, scene.dim), dtype=np.float32)
+    frames = np.empty((number_of_frames, number, scene.dim), dtype=np.float32)
     shares, position = hammersley(number, seed), np.empty((number, 3))
     # At the start bodies end where they do and not where cells do; fronts are measured from there.
     exact = with_bodies(scene, grid)
@@ -157,7 +155,7 @@ def simulate(scene: Scene, config: ShallowConfig, *, frame_interval: float, seed
     fastest = layer.speed(thin)
     frames[0] = position[:, axes]
     body = nearest_body(scene, position[:, axes])
-    for frame in range(1, num_frames):
+    for frame in range(1, number_of_frames):
         if layer.at_rest:
             frames[frame] = frames[frame - 1]
             continue

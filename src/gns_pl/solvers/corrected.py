@@ -16,6 +16,7 @@ from gns_pl.models.corrector import CorrectorFile, load_corrector
 from gns_pl.models.shipped import find_corrector
 from gns_pl.mpm.settings import solver_config, solver_version
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import num_frames
 from gns_pl.scene.refusals import refused_terrain
 from gns_pl.solvers.correction import CoarseStart, coarse_solver, corrected_frames, corrected_run
 from gns_pl.solvers.recording import Recording
@@ -131,6 +132,8 @@ class CorrectedSolver(TrainedSolver):
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory; arguments as those of `Solver.run`. An unstable run is refused, watched or not."""
+        if interval is not None:
+            num_frames(scene, interval)  # refuses one that leaves nothing to show
         start = self.coarse_start(scene, seed)
         trajectory = corrected_run(self.content.corrector, start, self.num_steps(scene))
         return start.reduction.lift(trajectory if interval is None else trajectory.resampled(interval, scene.duration))

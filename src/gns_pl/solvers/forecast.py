@@ -9,6 +9,7 @@ import numpy as np
 
 from gns_pl.mpm.settings import solver_config
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import num_frames
 from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.shallow import ShallowSolver
 from gns_pl.solvers.solver import Solver
@@ -60,7 +61,7 @@ def forecast(solver: Solver, scene: Scene, interval: float) -> list[str]:
     needs = needs_of(solver, scene, interval)
     if needs is None or scene.terrain is None:
         return []
-    frames = round(scene.duration / interval) + 1
+    frames = num_frames(scene, interval)
     written = float(frames) * needs.particles * scene.dim * 4
     cells = " × ".join(f"{number:,}" for number in needs.cells)
     takes = f"{cells} cells of {needs.edge:.3g} m and {needs.particles:,} particles: {needs.memory / 1e9:.2g} GB of "
@@ -76,7 +77,7 @@ def needs_of(solver: Solver, scene: Scene, interval: float) -> Needs | None:
     """Return what a run on a terrain takes, None of other scenes and solvers; arguments as those of `forecast`."""
     if scene.terrain is None:
         return None
-    frames = round(scene.duration / interval) + 1
+    frames = num_frames(scene, interval)
     if isinstance(solver, MPMSolver):
         return _mpm_needs(solver, scene, frames)
     return _shallow_needs(solver, scene, frames) if isinstance(solver, ShallowSolver) else None
@@ -91,8 +92,7 @@ def _mpm_needs(solver: MPMSolver, scene: Scene, frames: int) -> Needs:
     grid = make_grid(scene, config.cell_size)
     item = np.dtype(config.precision).itemsize
     points, steps = solver.size(scene)
-    intervals = max(1, frames - 1)  # one that is longer than the scene has no second frame
-    steps = intervals * max(MIN_STEPS_PER_FRAME, math.ceil(steps / intervals))
+    steps = (frames - 1) * max(MIN_STEPS_PER_FRAME, math.ceil(steps / (frames - 1)))
     nodes = math.prod(grid.nodes)
     axes = grid.axes[:-1]
     lines = [grid.lower[axis] + grid.cell[axis] * np.arange(grid.nodes[axis]) for axis in axes]

@@ -24,7 +24,7 @@ from gns_pl.graph.context import context_fields
 from gns_pl.mpm.settings import solver_version, stepped_run
 from gns_pl.rollout.static import static_of
 from gns_pl.scene import Scene
-from gns_pl.scene.extent import characteristic_time
+from gns_pl.scene.extent import characteristic_time, num_frames
 from gns_pl.solvers.correction import points_of
 from gns_pl.solvers.learned import LearnedSolver
 from gns_pl.solvers.reduction import Reduction
@@ -105,6 +105,8 @@ class HybridSolver(Solver):
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory; arguments and errors as those of `Solver.run`."""
+        if interval is not None:
+            num_frames(scene, interval)  # refuses one that leaves nothing to show
         reduction = self.reduced(scene)
         early, late = self.shares(scene)
         start = self.learned.start(reduction.scene, seed)

@@ -26,6 +26,7 @@ from gns_pl.rollout.failure import Watch
 from gns_pl.rollout.policy import Policy
 from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene import Scene
+from gns_pl.scene.extent import num_frames
 from gns_pl.solvers.reduction import Reduction, halve_scene
 from gns_pl.solvers.solver import hashed
 from gns_pl.solvers.trained import TrainedSolver
@@ -191,6 +192,8 @@ class LearnedSolver(TrainedSolver):
             scene if isinstance(scene, Trajectory) else self.start(reduction.scene, number)  # type: ignore[union-attr]
             for scene, reduction, number in zip(scenes, reductions, seeds, strict=True)
         ]
+        for start in starts if interval is not None else ():
+            num_frames(start.scene, interval)  # refuses one that leaves nothing to show
         steps = [
             (start.num_frames - given if start.num_frames > given else self.num_steps(start.scene))
             if num_steps is None

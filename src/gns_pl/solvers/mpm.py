@@ -14,7 +14,7 @@ from gns_pl.machine import available_cores
 from gns_pl.mpm import MPMConfig
 from gns_pl.mpm import settings as mpm_settings
 from gns_pl.scene import Scene
-from gns_pl.scene.extent import frame_interval_of
+from gns_pl.scene.extent import frame_interval_of, num_frames
 from gns_pl.solvers.recording import Recording
 from gns_pl.solvers.reduction import Reduction, reduce_scene
 from gns_pl.solvers.solver import Solver, characteristic_size, hashed
@@ -112,11 +112,13 @@ class MPMSolver(Solver):
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory; arguments as those of `Solver.run`. An unstable run is refused, watched or not."""
+        interval = frame_interval_of(scene) if interval is None else interval
+        num_frames(scene, interval)  # refuses one that leaves nothing to run
         reduction, settings = self.reduced(scene), self.settings_of(scene)
         trajectory = mpm_settings.run_solver(
             reduction.scene,
             settings,
-            frame_interval=interval or frame_interval_of(scene),
+            frame_interval=interval,
             seed=seed,
             device=self.device,
             num_threads=self._threads(reduction.scene, settings),
@@ -144,9 +146,10 @@ class MPMSolver(Solver):
         reductions = [self.reduced(scene) for scene in scenes]
         settings = [self.settings_of(scene) for scene in scenes]
         trajectories: dict[int, Trajectory] = {}
-        keys = [
-            (own["cell_size"], interval or frame_interval_of(one)) for own, one in zip(settings, scenes, strict=True)
-        ]
+        intervals = [frame_interval_of(scene) if interval is None else interval for scene in scenes]
+        for scene, every in zip(scenes, intervals, strict=True):
+            num_frames(scene, every)
+        keys = [(own["cell_size"], every) for own, every in zip(settings, intervals, strict=True)]
         for key in dict.fromkeys(keys):
             numbers = [number for number, each in enumerate(keys) if each == key]
             runs = mpm_settings.run_batch(

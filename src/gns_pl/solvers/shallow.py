@@ -118,9 +118,8 @@ class ShallowSolver(Solver):
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory, whose particles show the layer; arguments as those of `Solver.run`."""
         reduction, began = self.reduced(scene), time.perf_counter()
-        trajectory = simulate(
-            reduction.scene, self.config(scene), frame_interval=interval or frame_interval_of(scene), seed=seed
-        )
+        interval = frame_interval_of(scene) if interval is None else interval
+        trajectory = simulate(reduction.scene, self.config(scene), frame_interval=interval, seed=seed)
         seconds = time.perf_counter() - began
         provenance = {**trajectory.provenance, **self.facts(scene), "seed": seed, "wall_seconds": seconds}
         return reduction.lift(replace(trajectory, provenance=provenance))

@@ -17,13 +17,14 @@ from gns_pl.io.stream import add_provenance
 from gns_pl.metrics.rasters import check_mappable
 from gns_pl.rollout.policy import Policy
 from gns_pl.scene import Scene
-from gns_pl.scene.extent import compression_notice, frame_interval_of
+from gns_pl.scene.extent import compression_notice, frame_interval_of, num_frames
 from gns_pl.solvers.catalogue import load_solver, make_solvers
 from gns_pl.solvers.configured import checkpoint_solver, configured_scenes
 from gns_pl.solvers.folder import alone, prepare
 from gns_pl.solvers.forecast import forecast
 from gns_pl.solvers.mpm import MPMSolver
 from gns_pl.solvers.selection import (
+    LEARNED,
     RECORDS,
     WORSE,
     Option,
@@ -40,6 +41,9 @@ from gns_pl.text import command
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+
+END = 0.02
+"""From this part of a scene's duration on it is said that the last frame is not at its end."""
 
 CHECK_CELLS = 1.5
 """Cells of the run that checks another one, over those of that one."""
@@ -148,7 +152,11 @@ def simulate_by_choice(
             promise = {"tolerance": tolerance, "of": tolerance_of, "expected_error": option.errors.get(tolerance_of)}
             notes.append({} if solver else {"choice": promise})
             _tell_notices(option.solver, scene, check)
-            for line in forecast(option.solver, scene, choice["frame_interval"] or frame_interval_of(scene)):
+            interval = frame_interval_of(scene) if choice["frame_interval"] is None else choice["frame_interval"]
+            end = (num_frames(scene, interval) - 1) * interval
+            if option.solver.group not in LEARNED and abs(end / scene.duration - 1) > END:
+                print(f"{scene.name}: frames {interval:g} s apart end at {end:g} s, not at {scene.duration:g} s.")
+            for line in forecast(option.solver, scene, interval):
                 print(f"{scene.name}: {line}.", flush=True)
     # One object for each solver, so that scenes of one are stepped together.
     on_device = {one.name: one.on(device) for one in chosen}
@@ -203,10 +211,11 @@ def simulate(
     solvers = list(solvers) * (len(scenes) if len(solvers) == 1 else 1)
     prepare(out, scenes)
     paths = [out / f"{scene.name}.h5" for scene in scenes] if files is None else list(files)
-    for one, scene in zip(solvers, scenes, strict=True):
+    intervals = [frame_interval_of(scene) if interval is None else interval for scene in scenes]
+    for one, scene, every in zip(solvers, scenes, intervals, strict=True):
         one.reduced(scene)  # refuses what cannot be run, before anything is
+        num_frames(scene, every)
     try:
-        intervals = [interval or frame_interval_of(scene) for scene in scenes]
         jobs = {(id(one), every): one for one, every in zip(solvers, intervals, strict=True)}
         for (_, every), runner in jobs.items():
             numbers = [n for n, one in enumerate(solvers) if one is runner and intervals[n] == every]

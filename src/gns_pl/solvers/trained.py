@@ -80,7 +80,7 @@ class TrainedSolver(Solver):
 
     def num_steps(self, scene: Scene) -> int:
         """Return how many steps reach the end of a scene."""
-        return math.ceil(scene.duration / self.interval - 1e-6)
+        return max(1, math.ceil(scene.duration / self.interval - 1e-6))
 
     def cost(self, scene: Scene) -> float:
         """Return (particles + overhead) × steps."""

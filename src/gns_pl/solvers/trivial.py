@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gns_pl.scene import Scene, fill_scene
-from gns_pl.scene.extent import frame_interval_of
+from gns_pl.scene.extent import frame_interval_of, num_frames
 from gns_pl.solvers.solver import Solver, characteristic_size
 from gns_pl.trajectory import Trajectory, start_trajectory
 
@@ -48,11 +48,10 @@ class Still(Solver):
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory; arguments as those of `Solver.run`."""
-        interval = interval or frame_interval_of(scene)
+        interval = frame_interval_of(scene) if interval is None else interval
         particles = fill_scene(scene, self.spacing(scene), jitter=0.5, generator=np.random.default_rng(seed))
         start = start_trajectory(scene, particles, interval, {"solver": self.name})
-        number = round(scene.duration / interval) + 1
-        return self._moved(start, np.arange(number) * interval)
+        return self._moved(start, np.arange(num_frames(scene, interval)) * interval)
 
     def _moved(self, start: Trajectory, time: np.ndarray) -> Trajectory:
         return Trajectory(**{**vars(start), "position": np.repeat(start.position, len(time), axis=0)})
