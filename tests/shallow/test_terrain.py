@@ -86,6 +86,33 @@ def test_a_thin_layer_runs_out_on_curved_ground_as_newton_says() -> None:
     assert 0.3 < drop < 0.3 * 1.15  # the energy line, but for the friction that the curve adds
 
 
+@pytest.mark.parametrize("earth_pressure", [1.0, 0.5])
+@pytest.mark.parametrize("share", [0.5, 0.1])
+def test_a_film_on_a_rough_slope_leaves_nothing_behind(share: float, earth_pressure: float) -> None:
+    """A mean slope of 30°, places between 17° and 40°, all steeper than friction holds: Newton's law, and the energy.
+
+    The film is thinner than the drop of the bed over a cell, and than the differences of these drops.
+    """
+    rng = np.random.default_rng(0)
+    slope = math.tan(math.radians(30))
+    z = -np.cumsum(np.append(0, slope + rng.uniform(-0.27, 0.27, 201)))
+    z -= z.min() - 1
+    body = Body((5.0, float(z[5] + z[6]) / 2), (10.0, 2.0), (0.0, 0.0))
+    scene = make_scene((200.0, float(z[0]) + 5), body, terrain=Terrain(z, (-0.5,), 1.0, FRICTION))
+    layer = make_start(scene, ShallowConfig(cell_size=1.0, earth_pressure=earth_pressure))
+    place, _ = layer.grid.centres
+    layer.thickness[:] = np.where((place > 5) & (place < 25), share * slope, 0.0)
+    before = volume(layer)
+    layer.advance(9.0)
+    centre = float((place * layer.thickness).sum() / layer.thickness.sum())
+    travelled = GRAVITY * (slope - 0.3) / (1 + slope**2) * 9.0**2 / 2
+    assert centre - 15 == pytest.approx(travelled, rel=0.05)
+    assert layer.thickness[place < 60].sum() < 1e-3 * layer.thickness.sum()
+    assert volume(layer) == pytest.approx(before, rel=1e-12)
+    fall = float(z[5] - layer.ground.height.min()) + 2
+    assert layer.speed(1e-9).max() < math.sqrt(2 * GRAVITY * fall) and layer.num_steps < 500
+
+
 @pytest.mark.parametrize("friction", [Wall("slip"), Wall("friction", 0.4)])
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("earth_pressure", [1.0, 0.5])

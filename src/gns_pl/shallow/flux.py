@@ -82,15 +82,21 @@ def is_wall(h, bed, other_h, other_bed, jump):
 
 
 @compiled
-def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number, face, face_stride, width, cliff):
+def add_line(
+    h, un, ut, bed, gravity, curve, frozen, dh, dn, dt, start, stride, number, face, face_stride, width, cliff
+):
     """Add to the rates of change of a line of cells what flows through its faces and what its bed does.
 
     Surface, thickness and velocity are linear in a cell. At a face the layers are cut off at the higher bed, and what
     is cut off pushes on its own cell (hydrostatic reconstruction, Audusse et al. 2004): a level surface stays at rest.
+    On a terrain the beds of two cells may meet in a step that the ground has not, a tooth of a saw. As much of it as
+    the mean surface falls from cell to cell holds nothing back, or a thin layer would be caught on a slope; at a level
+    surface, which does not fall, nothing changes.
     Velocities on the two sides of a cell are weighed so that its momentum is that of the linear pieces.
 
     Args:
         h, un, ut, bed, gravity: of every cell; thickness, velocities, height of the bed, effective gravity.
+        curve: of every cell of a terrain, see `stepping.advance`; else empty.
         frozen: of every face, 1 where friction holds both its cells, so that nothing passes.
         dh, dn, dt: rates of thickness and of normal and tangential momentum, added to.
         start, stride, number: of the line's cells.
@@ -150,6 +156,10 @@ def add_line(h, un, ut, bed, gravity, frozen, dh, dn, dt, start, stride, number,
         else:
             floor = max(last_e - last_h, e_low - h_low)
             cut_last, cut = max(last_e - floor, 0.0), max(e_low - floor, 0.0)
+            if len(curve) > 0 and abs(bed[cell] - bed[last]) <= jump:
+                drop, tooth = h[last] + bed[last] - surface, curve[last, 5] + curve[cell, 5]
+                cut_last = min(cut_last + min(max(drop, 0.0), tooth), last_h)
+                cut = min(cut + min(max(-drop, 0.0), tooth), h_low)
             mass, momentum, pressure = hll(cut_last, last_u, gravity[last], cut, u_low, own)
             across = mass * (last_t if mass > 0.0 else t_low)
             push_last = momentum + gravity[last] * (pressure + 0.5 * (last_h * last_h - cut_last * cut_last))

@@ -75,8 +75,8 @@ class Ground:
         bed: the same as the equations have it: with the tilt of gravity, slopes over the earth pressure [C] [m].
         gravity: k g cos²θ, θ the slope of a plane [C] [m/s²].
         friction: tan δ / k [C].
-        curve: slopes along x and y of a terrain, the second derivatives xx, xy and yy of its height [1/m], thickness
-            [m] and own speed [m/s] of a film (`terrain.terrain_curve`) [C, 7]; without one [0, 7].
+        curve: slopes along x and y of a terrain, the second derivatives xx, xy and yy of its height [1/m], and by how
+            much the beds of neighbours may miss each other [m] (`terrain.terrain_curve`) [C, 6]; without one [0, 6].
         drag: g / (ξ cos²θ), Voellmy's [C]; without [0].
         cliff: rise of the bed from one cell to the next, in cells, beyond which it is a step and no slope.
     """
@@ -85,7 +85,7 @@ class Ground:
     bed: Floats
     gravity: Floats
     friction: Floats
-    curve: Floats = field(default_factory=lambda: np.zeros((0, 7)))
+    curve: Floats = field(default_factory=lambda: np.zeros((0, 6)))
     drag: Floats = field(default_factory=lambda: np.zeros(0))
     cliff: float = CLIFF
 
@@ -155,14 +155,11 @@ def make_ground(scene: Scene, grid: Grid, config: ShallowConfig) -> Ground:
     height = np.full(len(x), scene.lower[-1])
     flatness = np.ones(len(x))
     friction = np.full(len(x), floor_friction(scene.walls["z-"], strength))
-    curve = np.zeros((0, 7))
+    curve = np.zeros((0, 6))
     if scene.terrain is not None:
         surface = terrain_height(scene, grid)
-        height, curve = (
-            np.maximum(surface.ravel(), height),
-            terrain_curve(surface, grid, -scene.gravity[-1], config.earth_pressure),
-        )
-        curve[surface.ravel() < height, :6] = 0.0
+        height, curve = np.maximum(surface.ravel(), height), terrain_curve(surface, grid, config.earth_pressure)
+        curve[surface.ravel() < height] = 0.0
         flatness = 1.0 / (1.0 + curve[:, 0] ** 2 + curve[:, 1] ** 2)
         friction[surface.ravel() >= height] = floor_friction(scene.terrain.wall, strength)
     for plane in (obstacle for obstacle in scene.obstacles if isinstance(obstacle, Plane)):
@@ -170,7 +167,7 @@ def make_ground(scene: Scene, grid: Grid, config: ShallowConfig) -> Ground:
         above = surface > height
         height[above] = surface[above]
         flatness[above] = plane.normal[-1] ** 2
-        curve[above[: len(curve)], :6] = 0.0
+        curve[above[: len(curve)]] = 0.0
         friction[above] = floor_friction(plane.wall, strength)
     slopes = height.copy()
     for axis, place in enumerate((x, y)[: scene.dim - 1]):
@@ -183,7 +180,7 @@ def make_ground(scene: Scene, grid: Grid, config: ShallowConfig) -> Ground:
         above = inside & (box.upper[-1] > height)
         height[above] = box.upper[-1]
         flatness[above] = 1.0
-        curve[above[: len(curve)], :6] = 0.0
+        curve[above[: len(curve)]] = 0.0
         friction[above] = floor_friction(box.wall, strength)
     if config.friction is not None:
         friction[:] = config.friction

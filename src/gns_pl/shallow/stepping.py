@@ -103,7 +103,7 @@ def hold(h, qx, qy, bed, friction, frozen_x, frozen_y, nx, ny, dx, dy, cliff):
 
 
 @compiled
-def fill_rates(h, qx, qy, bed, gravity, frozen_x, frozen_y, u, v, dh, dqx, dqy, nx, ny, dx, dy, cliff):
+def fill_rates(h, qx, qy, bed, gravity, curve, frozen_x, frozen_y, u, v, dh, dqx, dqy, nx, ny, dx, dy, cliff):
     """Compute the rates of change of thickness and momentum without friction."""
     for cell in range(nx * ny):
         wet = h[cell] > DRY
@@ -111,10 +111,10 @@ def fill_rates(h, qx, qy, bed, gravity, frozen_x, frozen_y, u, v, dh, dqx, dqy, 
         v[cell] = qy[cell] / h[cell] if wet else 0.0
         dh[cell] = dqx[cell] = dqy[cell] = 0.0
     for j in range(ny):
-        add_line(h, u, v, bed, gravity, frozen_x, dh, dqx, dqy, j, ny, nx, j, ny, dx, cliff)
+        add_line(h, u, v, bed, gravity, curve, frozen_x, dh, dqx, dqy, j, ny, nx, j, ny, dx, cliff)
     if ny > 1:
         for i in range(nx):
-            add_line(h, v, u, bed, gravity, frozen_y, dh, dqy, dqx, i * ny, 1, ny, i * (ny + 1), 1, dy, cliff)
+            add_line(h, v, u, bed, gravity, curve, frozen_y, dh, dqy, dqx, i * ny, 1, ny, i * (ny + 1), 1, dy, cliff)
 
 
 @compiled
@@ -142,16 +142,6 @@ def rise_rate(u, v, curve):
 
 
 @compiled
-def largest_speed(h, qx, qy, curve):
-    """Return the largest speed of all cells on a terrain that are thicker than a film [m/s]; 0 without a terrain."""
-    fastest = 0.0
-    for cell in range(len(curve)):
-        if h[cell] > max(curve[cell, 5], DRY):
-            fastest = max(fastest, math.hypot(qx[cell], qy[cell]) / h[cell])
-    return fastest
-
-
-@compiled
 def path_factor(x, y, size, curve):
     """Return how much more than down the fall line friction is along a direction: the path is shorter across it.
 
@@ -166,13 +156,11 @@ def path_factor(x, y, size, curve):
 
 
 @compiled
-def moved(h, qx, qy, dh, dqx, dqy, u, v, gravity, friction, curve, drag, fall, fastest, step, new_h, new_qx, new_qy):
+def moved(h, qx, qy, dh, dqx, dqy, u, v, gravity, friction, curve, drag, fall, step, new_h, new_qx, new_qy):
     """Write a state after an Euler step and friction, which takes at most the momentum there is.
 
     Curved ground turns the velocity, −cos²θ a ∇b with a of `rise_rate`, by which a slide keeps its speed around a bend,
-    and presses harder or less, g + a, at least 0; the layer's own pressure stays that of gravity. A film thinner than
-    the jump of the bed at the faces of cells may be caught between them: it is not turned, and not much faster than
-    `fastest`, the speed of all thicker cells.
+    and presses harder or less, g + a, at least 0; the layer's own pressure stays that of gravity.
 
     Drag comes after it, implicitly: the new u has u (1 + step · drag |u| / h) as the old one.
 
@@ -187,15 +175,11 @@ def moved(h, qx, qy, dh, dqx, dqy, u, v, gravity, friction, curve, drag, fall, f
         taken = friction[cell] * gravity[cell] * thickness * step
         if len(curve) > 0:
             bend = curve[cell]
-            film = thickness <= bend[5]
-            rise = 0.0 if film else rise_rate(u[cell], v[cell], bend)
+            rise = rise_rate(u[cell], v[cell], bend)
             turn = step * h[cell] * rise / (1.0 + bend[0] * bend[0] + bend[1] * bend[1])
             x, y = x - turn * bend[0], y - turn * bend[1]
             if x != 0.0 or y != 0.0:
                 taken *= max(1.0 + rise / fall, 0.0) * path_factor(x, y, math.hypot(x, y), bend)
-                if film:
-                    slower = min((fastest + bend[6]) * max(thickness, 0.0) / math.hypot(x, y), 1.0)
-                    x, y = slower * x, slower * y
         size = math.hypot(x, y)
         left = 1.0 - taken / size if size > taken and thickness > DRY else 0.0
         if len(drag) > 0 and left > 0.0:
@@ -215,8 +199,9 @@ def advance(state, ground, rain, fall, shape, sizes, courant, time, end):
     Args:
         state: thickness [C] [m], momentum along x and y [C] [m²/s]; changed.
         ground: height of the bed [C] [m], effective gravity [C] [m/s²], friction [C]; of curved ground its slopes along
-            x and y, the second derivatives xx, xy and yy of its height, thickness and own speed of a film [C, 7],
-            else [0, 7]; drag g / (ξ cos²θ) [C] or [0]; rise of the bed in cells beyond which it is a step.
+            x and y, the second derivatives xx, xy and yy of its height, and by how much its bed may miss those of the
+            cells beside it [C, 6], else [0, 6]; drag g / (ξ cos²θ) [C] or [0]; rise of the bed in cells beyond which it
+            is a step.
         rain: thickness that falls onto each cell in all [C] [m]. At time t, g t²/2 of it has fallen.
         fall: gravity of the fall [m/s²].
         shape: number of cells along x and y.
@@ -242,7 +227,6 @@ def advance(state, ground, rain, fall, shape, sizes, courant, time, end):
         at_rest = hold(h, qx, qy, bed, friction, frozen_x, frozen_y, nx, ny, dx, dy, smooth)
         if at_rest and time >= rain_end:
             return steps, True
-        fastest = largest_speed(h, qx, qy, curve)
         rate = largest_rate(h, qx, qy, gravity, nx, ny, dx, dy)
         step = end - time
         if rate * step > courant:
@@ -253,17 +237,18 @@ def advance(state, ground, rain, fall, shape, sizes, courant, time, end):
         while True:
             if step < shortest:
                 return -1, False
-            fill_rates(h, qx, qy, bed, gravity, frozen_x, frozen_y, u, v, dh, dqx, dqy, nx, ny, dx, dy, cliff)
+            fill_rates(h, qx, qy, bed, gravity, curve, frozen_x, frozen_y, u, v, dh, dqx, dqy, nx, ny, dx, dy, cliff)
             least = moved(
-                h, qx, qy, dh, dqx, dqy, u, v, gravity, friction, curve, drag, fall, fastest, step,
+                h, qx, qy, dh, dqx, dqy, u, v, gravity, friction, curve, drag, fall, step,
                 one_h, one_qx, one_qy,
             )  # fmt: skip
             if least >= -ROUNDING:
                 fill_rates(
-                    one_h, one_qx, one_qy, bed, gravity, frozen_x, frozen_y, u, v, dh, dqx, dqy, nx, ny, dx, dy, cliff
+                    one_h, one_qx, one_qy, bed, gravity, curve, frozen_x, frozen_y, u, v, dh, dqx, dqy, nx, ny, dx, dy,
+                    cliff,
                 )  # fmt: skip
                 least = moved(
-                    one_h, one_qx, one_qy, dh, dqx, dqy, u, v, gravity, friction, curve, drag, fall, fastest, step,
+                    one_h, one_qx, one_qy, dh, dqx, dqy, u, v, gravity, friction, curve, drag, fall, step,
                     two_h, two_qx, two_qy,
                 )  # fmt: skip
                 if least >= -ROUNDING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,17 +45,16 @@ def terrain_height(scene: Scene, grid: Grid) -> Floats:
     return heights.reshape(grid.shape)
 
 
-def terrain_curve(height: Floats, grid: Grid, gravity: float, earth_pressure: float) -> Floats:
-    """Return slopes and second derivatives of heights in cells, central differences, as `Ground.curve` [C, 7].
+def terrain_curve(height: Floats, grid: Grid, earth_pressure: float) -> Floats:
+    """Return slopes and second derivatives of heights in cells, central differences, as `Ground.curve` [C, 6].
 
-    The bed of a cell is linear, so on curved ground it jumps at the faces, by up to half the second difference (of the
-    bed that the equations have, over k). A film thinner than that may be caught between the faces, where it would go on
-    to gain speed; it is given that of the fastest thicker cell and of a fall by a cell at most.
+    The bed of a cell is linear, so on curved ground it misses that of the next cell at the face between them. The last
+    column is half the second difference (of the bed that the equations have, over k), of both axes together, by which
+    it does so at most.
 
     Args:
         height: mean heights [NX, NY] [m].
         grid: the cells.
-        gravity: along the last axis [m/s²].
         earth_pressure: k.
     """
     dx, dy = grid.sizes
@@ -65,11 +63,14 @@ def terrain_curve(height: Floats, grid: Grid, gravity: float, earth_pressure: fl
     def slope(values: Floats, axis: int) -> Floats:
         return np.asarray(np.gradient(values, (dx, dy)[axis], axis=axis)) if height.shape[axis] > 1 else flat
 
+    def bend(axis: int) -> Floats:
+        inner = tuple((1, 1) if axis == each else (0, 0) for each in (0, 1))
+        return np.pad(np.abs(np.diff(height, 2, axis=axis)), inner) if height.shape[axis] > 2 else flat
+
     along, across = slope(height, 0), slope(height, 1)
     xx, yy, twist = slope(along, 0), slope(across, 1), (slope(along, 1) + slope(across, 0)) / 2
-    film = (np.abs(xx) * dx**2 + np.abs(yy) * dy**2) / (2 * earth_pressure)
-    speed = np.full_like(height, math.sqrt(2 * gravity * dx))
-    return np.stack([along, across, xx, twist, yy, film, speed], axis=-1).reshape(-1, 7)
+    tooth = (bend(0) + bend(1)) / (2 * earth_pressure)
+    return np.stack([along, across, xx, twist, yy, tooth], axis=-1).reshape(-1, 6)
 
 
 def mean_heights(scene: Scene, grid: Grid) -> Floats:
