@@ -11,7 +11,7 @@ from gns_pl.evaluation.chart.points import Point
 from gns_pl.evaluation.chart.tables import BatchRow, Environment, RunRow
 from gns_pl.evaluation.chart.uncertain import INSIDE, equal_error
 from gns_pl.evaluation.chart.verdicts import Verdict, pace_of, percent
-from gns_pl.metrics.maps import MAP_CELL
+from gns_pl.metrics.maps import MAP_CELL, TERRAIN_NODES
 from gns_pl.metrics.measures import ARREST_SHARE
 from gns_pl.text import seconds
 
@@ -121,10 +121,10 @@ def page(
         "Three errors, relative to the reference, as root mean square over scenes and placements "
         f"({number} each). **Front**: of its final advance, 99 % of the mass, along x for a column, else in whatever "
         "direction from where the bodies were released. **Map**: the share of the final volume in the wrong place, on "
-        f"a horizontal grid of {MAP_CELL:.3g} m (in plane strain along x). **The worse of the two**: a solver is as "
-        "accurate as that. Height: of the final mean height; arrest: of the time after which the kinetic energy stays "
-        f"below {100 * ARREST_SHARE:g} % of its peak. Times are medians over as many warm runs, in turns with all "
-        f"others in one process{sittings}, and means over the scenes.{few} In them are: placing the particles, "
+        f"a horizontal grid of {_map_cell(plan.kind)} (in plane strain along x). **The worse of the two**: a solver is "
+        "as accurate as that. Height: of the final mean height; arrest: of the time after which the kinetic energy "
+        f"stays below {100 * ARREST_SHARE:g} % of its peak. Times are medians over as many warm runs, in turns with "
+        f"all others in one process{sittings}, and means over the scenes.{few} In them are: placing the particles, "
         "neighbour search, network or grid, integration, copies of every frame to the host. Not in them: compilation, "
         "reading checkpoints, writing files; the table has the first run, with what was compiled in it, and the "
         f"writing of a file apart. All give frames {scenes[0].interval:g} s apart. Slices are measured as slices.",
@@ -235,6 +235,11 @@ def scenes_of(point: Point) -> str:
     if math.isinf(point.break_even):
         return "never"
     return "at once" if math.isinf(point.equal_seconds) else f"{math.ceil(point.break_even):,}"
+
+
+def _map_cell(kind: str) -> str:
+    """Return the size of a map's cells on scenes of a kind (`metrics.maps.map_cell`)."""
+    return f"√(L0 H0)/{TERRAIN_NODES:g}" if kind == "terrain" else f"{MAP_CELL:.3g} m"
 
 
 def _scene_line(each: SceneFacts) -> str:
