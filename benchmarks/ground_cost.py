@@ -35,7 +35,8 @@ def grounds() -> dict[str, Scene]:
     heights = np.zeros([round(edge / cell) for edge in SIZE[:2]])
     terrain = Terrain(heights, (cell / 2, cell / 2), cell, ROUGH)
     plane = Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), wall=ROUGH)
-    return {"floor": floor, "terrain": floor.replace(terrain=terrain), "plane": floor.replace(obstacles=(plane,))}
+    below = floor.replace(lower=(0.0, 0.0, -0.0625))  # four cells of MPM under the ground
+    return {"floor": floor, "terrain": below.replace(terrain=terrain), "plane": below.replace(obstacles=(plane,))}
 
 
 def measured(solver: Solver, scene: Scene) -> tuple[float, int, int]:

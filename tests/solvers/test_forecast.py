@@ -11,7 +11,9 @@ import pytest
 
 from gns_pl.errors import InputError
 from gns_pl.io.tables import read_table
-from gns_pl.mpm.settings import place_points
+from gns_pl.mpm.plan import make_state
+from gns_pl.mpm.settings import place_points, solver_config
+from gns_pl.mpm.solver import start_run
 from gns_pl.scene import Terrain, read_scene
 from gns_pl.solvers.catalogue import load_solver
 from gns_pl.solvers.forecast import LARGE_FILE, START, forecast, needs_of
@@ -45,6 +47,19 @@ def test_cells_particles_and_frames_are_those_of_the_run() -> None:
     run = shallow.run(SCENE.replace(duration=1.0), interval=0.5)
     assert f"{run.num_particles:,} particles" in said(shallow, 0.5)
     assert f"cells of {SCENE.terrain.cell:g} m" in said(shallow, 0.5)
+
+
+def test_memory_is_that_of_the_start_up_to_that_of_a_flow_everywhere() -> None:
+    """Of MPM's grid only what is written to counts: the distances to surfaces at once, the rest where material is."""
+    mpm, shallow = solvers()
+    particles, plan = start_run(SCENE, solver_config(mpm.settings_of(SCENE)), 0.5, 0)
+    arrays = make_state(SCENE, particles, plan.grid, plan.config)
+    everything, gap = sum(array.nbytes for array in arrays), arrays[9].nbytes
+    needs, layer = needs_of(mpm, SCENE, 0.5), needs_of(shallow, SCENE, 0.5)
+    assert needs is not None and layer is not None
+    assert gap < needs.start_memory < 0.6 * everything and needs.memory == pytest.approx(everything, rel=0.05)
+    assert layer.start_memory == layer.memory
+    assert f"{needs.start_memory / 1e9:.2g} to {needs.memory / 1e9:.2g} GB of memory" in said(mpm, 0.5)
 
 
 def test_too_many_frames_are_told_with_fewer() -> None:

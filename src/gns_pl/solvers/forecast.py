@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,16 @@ from gns_pl.solvers.shallow import ShallowSolver
 from gns_pl.solvers.solver import Solver
 from gns_pl.text import seconds
 
+if TYPE_CHECKING:
+    from gns_pl.mpm.plan import Grid
+
 POINT, LAYER = 24, 32
 """Numbers that MPM keeps of a point, and depth-averaged flow of a cell."""
 
-POINT_STEP, NODE_STEP, CELL_STEP, FRAME = 3.0e-7, 7e-10, 3.3e-7, 1e-7
-"""Processor time of a step of MPM for every point and every node of its grid, of a step of depth-averaged flow for
-every cell, and of a frame for every particle [s]: on the machine and of the runs of `benchmarks/forecast.py`."""
+POINT_STEP, NODE_STEP, CELL_STEP, FRAME, BYTE = 3.4e-7, 5e-9, 3.3e-7, 1e-7, 2.5e-9
+"""Processor time of a step of MPM for every point and every node that is stepped, of a step of depth-averaged flow for
+every cell, of a frame for every particle, and of a byte of memory that is taken at the start [s]: on the machine and of
+the runs of `benchmarks/forecast.py`."""
 
 START = 0.5
 """Time before the first step, in which compiled code is loaded and particles are placed [s]."""
@@ -37,7 +42,8 @@ class Needs:
         cells: along every axis.
         edge: of a cell [m].
         particles: number of them.
-        memory: for cells, particles and the frames that are held [bytes].
+        memory: for cells, particles and the frames that are held, at most [bytes].
+        start_memory: of it, what the start needs; MPM takes the rest as the flow spreads over its grid [bytes].
         seconds: processor time of the run, about [s].
         shift: by how much the cells change a height of the ground at most [m].
     """
@@ -46,6 +52,7 @@ class Needs:
     edge: float
     particles: int
     memory: float
+    start_memory: float
     seconds: float
     shift: float
 
@@ -64,7 +71,8 @@ def forecast(solver: Solver, scene: Scene, interval: float) -> list[str]:
     frames = num_frames(scene, interval)
     written = float(frames) * needs.particles * scene.dim * 4
     cells = " × ".join(f"{number:,}" for number in needs.cells)
-    takes = f"{cells} cells of {needs.edge:.3g} m and {needs.particles:,} particles: {needs.memory / 1e9:.2g} GB of "
+    memory = " to ".join(dict.fromkeys(f"{most / 1e9:.2g}" for most in (needs.start_memory, needs.memory)))
+    takes = f"{cells} cells of {needs.edge:.3g} m and {needs.particles:,} particles: {memory} GB of "
     takes += f"memory, {written / 1e9:.2g} GB for {frames:,} frames, and about {seconds(needs.seconds)} on one core"
     size = " × ".join(f"{number:,}" for number in scene.terrain.heights.shape)
     ground = f"ground of {size} heights {scene.terrain.cell:.3g} m apart, as it was cropped and resampled; the cells "
@@ -93,7 +101,10 @@ def _mpm_needs(solver: MPMSolver, scene: Scene, frames: int) -> Needs:
     item = np.dtype(config.precision).itemsize
     points, steps = solver.size(scene)
     steps = (frames - 1) * max(MIN_STEPS_PER_FRAME, math.ceil(steps / (frames - 1)))
-    nodes = math.prod(grid.nodes)
+    nodes, start = math.prod(grid.nodes), _start_nodes(scene, grid)
+    # Only nodes in the box around all points are stepped. It grows, from that of the bodies, to nobody knows where.
+    stepped = math.sqrt(start * nodes)
+    memory = item * float(start * 8 + nodes * (3 + num_surfaces(scene)) + POINT * points)
     axes = grid.axes[:-1]
     lines = [grid.lower[axis] + grid.cell[axis] * np.arange(grid.nodes[axis]) for axis in axes]
     places = np.stack([place.ravel() for place in np.meshgrid(*lines, indexing="ij")], axis=1)
@@ -103,9 +114,18 @@ def _mpm_needs(solver: MPMSolver, scene: Scene, frames: int) -> Needs:
         edge=max(grid.cell[axis] for axis in grid.axes),
         particles=points,
         memory=item * float(nodes * (8 + 3 + num_surfaces(scene)) + POINT * points),
-        seconds=START + steps * (POINT_STEP * points + NODE_STEP * nodes) + frames * FRAME * points,
+        start_memory=memory,
+        seconds=START + BYTE * memory + steps * (POINT_STEP * points + NODE_STEP * stepped) + frames * FRAME * points,
         shift=float(np.abs(heights.ravel() - scene.terrain.height(places)).max()),
     )
+
+
+def _start_nodes(scene: Scene, grid: Grid) -> float:
+    """Return the number of nodes of MPM's grid in the box around all bodies."""
+    lower = [min(body.position[axis] for body in scene.bodies) for axis in range(scene.dim)]
+    upper = [max(body.upper[axis] for body in scene.bodies) for axis in range(scene.dim)]
+    edges = [grid.cell[axis] for axis in grid.axes]
+    return math.prod((high - low) / edge + 3 for low, high, edge in zip(lower, upper, edges, strict=True))
 
 
 def _shallow_needs(solver: ShallowSolver, scene: Scene, frames: int) -> Needs:
@@ -123,7 +143,8 @@ def _shallow_needs(solver: ShallowSolver, scene: Scene, frames: int) -> Needs:
         cells=grid.shape[: scene.dim - 1],
         edge=max(grid.sizes[: scene.dim - 1]),
         particles=number,
-        memory=8.0 * LAYER * cells + 4.0 * frames * number * scene.dim,
+        memory=(memory := 8.0 * LAYER * cells + 4.0 * frames * number * scene.dim),
+        start_memory=memory,
         seconds=START + steps * CELL_STEP * cells + frames * FRAME * number,
         shift=float(np.abs(scene.terrain.means(edges).ravel() - scene.terrain.height(places)).max()),
     )
