@@ -192,8 +192,9 @@ class LearnedSolver(TrainedSolver):
             scene if isinstance(scene, Trajectory) else self.start(reduction.scene, number)  # type: ignore[union-attr]
             for scene, reduction, number in zip(scenes, reductions, seeds, strict=True)
         ]
-        for start in starts if interval is not None else ():
-            num_frames(start.scene, interval)  # refuses one that leaves nothing to show
+        if interval is not None:
+            for start in starts:
+                num_frames(start.scene, interval)  # refuses one that leaves nothing to show
         steps = [
             (start.num_frames - given if start.num_frames > given else self.num_steps(start.scene))
             if num_steps is None
