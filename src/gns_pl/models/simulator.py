@@ -186,8 +186,8 @@ class Simulator(nn.Module):
         """Return in a word what each column of `state` is about."""
         config = self.config
         names = ["velocity"] * (config.dim * (config.input_sequence_length - 1))
-        walls = ("surfaces", "friction of surfaces") if config.sees_surfaces else ("walls", "walls")
-        walls += ("contact",) if config.walls == "contacts" else ()
+        walls = ["surfaces", "friction of surfaces"] if config.sees_surfaces else ["walls", "walls"]
+        walls += ["contact"] if config.walls == "contacts" else []
         names += [name for name in walls for _ in range(config.dim)]
         if config.context:
             names += ["floor", "overburden", "empty height", "density", *["momentum above"] * config.dim]

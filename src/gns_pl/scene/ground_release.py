@@ -106,7 +106,7 @@ def sample_ground_release(
     ]
 
     rest = generator.spawn(1)[0]  # so that these change nothing of what else is drawn
-    layered, far_rise = rest.uniform() < layer, np.tan(np.radians(rest.uniform(*far)))
+    layered, far_rise = rest.uniform() < layer, np.tan(np.radians(rest.uniform(far[0], far[1])))
 
     def shape(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         along = (foot - x) * np.cos(turn) + (0.5 * domain[1] - y) * np.sin(turn)

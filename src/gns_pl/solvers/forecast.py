@@ -139,11 +139,12 @@ def _shallow_needs(solver: ShallowSolver, scene: Scene, frames: int) -> Needs:
     edges, cells = grid.edges[: scene.dim - 1], math.prod(grid.shape)
     steps = max(frames - 1, solver.cost(scene) / cells)
     places = np.stack(grid.centres[: scene.dim - 1], axis=1)
+    memory = 8.0 * LAYER * cells + 4.0 * frames * number * scene.dim
     return Needs(
         cells=grid.shape[: scene.dim - 1],
         edge=max(grid.sizes[: scene.dim - 1]),
         particles=number,
-        memory=(memory := 8.0 * LAYER * cells + 4.0 * frames * number * scene.dim),
+        memory=memory,
         start_memory=memory,
         seconds=START + steps * CELL_STEP * cells + frames * FRAME * number,
         shift=float(np.abs(scene.terrain.means(edges).ravel() - scene.terrain.height(places)).max()),
