@@ -1,13 +1,14 @@
 """What each part of training on whole runs is worth: trainings in plane strain that differ in one of them.
 
-    python benchmarks/whole_run_ablation.py                  # every row, three seeds, 120 steps: an hour on one core
+    python benchmarks/whole_run_ablation.py                  # every row, three seeds, 120 steps: three hours of a core
     python benchmarks/whole_run_ablation.py --only "base,kept points" --seeds 1 --steps 20
     python benchmarks/whole_run_ablation.py --from-table     # the table of docs/whole_run_ablation.csv again
 
 Every row is `python train.py +experiment=column-fast-plane` with what `ROWS` names, each in a folder of its own below
-`--out`: a finished one is not trained again, a broken one goes on. What is reported are the deposits of the scenes that
-validate, three placements each, against all points of the fine runs: root mean squares, of the weights that a training
-would keep, and of its last.
+`--out`: a finished one is not trained again, a broken one goes on. Rows `lattice …` have the same fine runs, but every
+third lattice point of them in place of a point drawn in each block; these are made once, below `--out`. What is
+reported are the deposits of the scenes that validate, three placements each, against all points of the fine runs: root
+mean squares, of the weights that a training would keep.
 """
 
 from __future__ import annotations
@@ -44,8 +45,16 @@ ROWS = {
     "whole at the end": ("training.rollout.whole_from=1",),
     "9 scenes": ("training.num_train=9",),
     "no symmetry": ("training.optimisation.symmetry=false",),
+    "single steps": (  # from random weights, as `collapse_plane` begins, but shorter; no whole run
+        "ckpt=null",
+        *(f"training.optimisation.{key}" for key in ("optimiser=muon", "learning_rate=2e-3", "warmup_steps=200")),
+        "callbacks.average.decay=0.999",
+    ),
 }
-KEPT = "kept points"
+KEPT, SINGLE, LATTICE = "kept points", "single steps", "lattice "
+ROWS |= {f"{LATTICE}{name}": ("data.sampling=lattice", *ROWS[name]) for name in (SINGLE, "windows 0.1", KEPT)}
+SINGLE_FOR_WHOLE = 30
+"""So many steps are made in place of one of whole runs where none is: they take about as long."""
 ERRORS = ("deposit_error", "front_rms", "map_rms", "height_rms")
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "docs" / "whole_run_ablation.csv"
@@ -68,13 +77,28 @@ def of_kept_points(source: Path, target: Path) -> Path:
     return target
 
 
-def train(folder: Path, steps: int, root: Path, overrides: Sequence[str]) -> dict[str, float]:
-    """Train in a folder unless a finished training is there; return the errors of its best validation."""
+def of_lattices(target: Path) -> Path:
+    """Make the fine runs of `column_plane_runs` again, and keep every third lattice point, unless they are there."""
+    settings = ["data=column_plane_runs", "data.sampling=lattice", f"data.root={target}"]
+    subprocess.run([sys.executable, str(ROOT / "generate.py"), *settings], check=True)
+    return target
+
+
+def train(folder: Path, steps: int, whole_runs: int, root: Path, overrides: Sequence[str]) -> dict[str, float]:
+    """Train in a folder unless a finished training is there; return the errors of its best validation.
+
+    Args:
+        folder: of the training.
+        steps: in all.
+        whole_runs: of these, the last ones, which are of whole runs.
+        root: folder of the data set.
+        overrides: of the experiment.
+    """
     summary = read_summary(folder)
     if summary is None or summary["steps"] != steps:
         folder.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, str(ROOT / "train.py"), "+experiment=column-fast-plane", f"hydra.run.dir={folder}"]
-        command += [f"training.{part}.num_steps={steps}" for part in ("optimisation", "rollout")]
+        command += [f"training.optimisation.num_steps={steps}", f"training.rollout.num_steps={whole_runs}"]
         command += [f"data.root={root}", "logger=csv", "~callbacks.progress", "trainer.enable_progress_bar=false"]
         with (folder / "output.txt").open("a") as output:
             subprocess.run(
@@ -125,17 +149,19 @@ def main() -> None:
     rows = list(csv.DictReader(args.table.open())) if args.table.is_file() else []
     for seed in range(0 if args.from_table else args.seeds):
         for name in wanted:
-            key = {"row": name, "seed": str(seed), "steps": str(args.steps)}
+            whole_runs = 0 if name.endswith(SINGLE) else args.steps
+            steps = whole_runs or args.steps * SINGLE_FOR_WHOLE
+            key = {"row": name, "seed": str(seed), "steps": str(steps)}
             if any(key.items() <= row.items() for row in rows):
                 continue
-            root = args.data
-            if name == KEPT:
-                root = args.out / "kept_points"
-                args.out.mkdir(parents=True, exist_ok=True)
-                of_kept_points(args.data / "every_3", root / "every_3")
-            errors = train(
-                args.out / f"{name}_{seed}".replace(" ", "_"), args.steps, root, [f"seed={seed}", *ROWS[name]]
-            )
+            args.out.mkdir(parents=True, exist_ok=True)
+            root = of_lattices(args.out / "lattices") if name.startswith(LATTICE) else args.data
+            if name.endswith(KEPT):
+                target = args.out / name.replace(" ", "_")
+                of_kept_points(root / "every_3", target / "every_3")
+                root = target
+            folder = args.out / f"{name}_{seed}".replace(" ", "_")
+            errors = train(folder, steps, whole_runs, root, [f"seed={seed}", *ROWS[name]])
             rows.append(key | {error: f"{value:.5g}" for error, value in errors.items()})
             text = "\n".join([",".join(rows[0]), *(",".join(row.values()) for row in rows), ""])
             write_atomically(args.table, text.encode())
