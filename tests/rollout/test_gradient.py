@@ -76,3 +76,14 @@ def test_the_front_is_the_one_of_the_evaluation(percent: float) -> None:
     coordinate, mass = generator.uniform(0, 1, 300), generator.uniform(1, 2, 300)
     front = differentiable_front(torch.from_numpy(coordinate), torch.from_numpy(mass), percent, 0.05)
     assert float(front) == pytest.approx(percentile_front(coordinate[None], mass, [percent], 0.05)[0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_front_in_a_gap_moves_with_one_particle(dtype: torch.dtype) -> None:
+    place = torch.cat([torch.linspace(0, 1, 99), torch.tensor([3.0])]).to(dtype)
+    for mass in np.linspace(0.1, 2.3, 61):  # with some of them rounding leaves the front between the widths of both
+        coordinate = place.clone().requires_grad_()
+        front = differentiable_front(coordinate, torch.full((100,), mass, dtype=dtype), 99.0, 0.05)
+        front.backward()
+        assert 1.0 < float(front.detach()) < 3.0
+        assert sorted(coordinate.grad.tolist()) == [0.0] * 99 + [1.0]

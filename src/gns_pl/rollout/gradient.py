@@ -70,7 +70,8 @@ def differentiable_front(coordinate: Tensor, mass: Tensor, percent: float, width
     """Return the coordinate behind which q % of the mass lies, as `metrics.measures.percentile_front` does.
 
     The front z solves F(z) = Σ m_i clip((z − x_i) / w + 1/2, 0, 1) = q/100 Σ m_i. Its derivative is the implicit
-    function's: ∂z/∂x_i = m_i / Σ m_j over the particles whose width w the front cuts.
+    function's: ∂z/∂x_i = m_i / Σ m_j over the particles whose width w the front cuts. Where it stands in a gap, as it
+    does where the foremost of 100 equal particles is far ahead, that is the nearest one.
 
     Args:
         coordinate: distance from the wall [N] [m].
@@ -88,7 +89,8 @@ def differentiable_front(coordinate: Tensor, mass: Tensor, percent: float, width
             middle = (low + high) / 2
             enough = (mass * ((middle - coordinate) / width + 0.5).clamp(0, 1)).sum() >= goal
             low, high = torch.where(enough, low, middle), torch.where(enough, middle, high)
-        share = mass * ((high - coordinate).abs() < width / 2)
+        away = (high - coordinate).abs()
+        share = mass * torch.where(away.min() < width / 2, away < width / 2, away <= away.min())
         share = share / share.sum()
     return high + (share * (coordinate - coordinate.detach())).sum()
 
