@@ -136,7 +136,7 @@ def trace(simulator: Simulator, part: str) -> ExportedProgram:
             "edge_index": (edge_index, {1: of_edges}),
         }
     elif part == "step":
-        if config.walls != "box":
+        if config.sees_surfaces:
             raise InputError("a simulator that sees surfaces is exported by its network alone: part=network.")
         module = Step(simulator)
         history = torch.rand(number, config.input_sequence_length, dim)

@@ -227,7 +227,7 @@ def evaluate(
         interval, data = config.dt, checkpoint.data
         built = build_scenes(columns, scenes, only=only, domain=domain, duration=duration, interval=interval, data=data)
     for key, scene in built.items():
-        if config.walls == "box":
+        if not config.sees_surfaces:
             check_bare(f"scene {key!r}", scene)  # said here, before minutes of MPM
         frames = stored[key].trajectory.num_frames if key in stored else round(scene.duration / config.dt) + 1
         if frames <= given:

@@ -101,6 +101,6 @@ class SimulatorConfig:
         values = {key: list(v) if isinstance(v, tuple) else v for key, v in dataclasses.asdict(self).items()}
         if self.network == DEFAULT_NETWORK:
             del values["network"]  # as checkpoints were before there were others
-        if self.walls == "box":
+        if not self.sees_surfaces:
             del values["walls"]
         return values

@@ -213,7 +213,7 @@ class Simulator(nn.Module):
         node, edge_index = self.features(history, scenes, search)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = (network or self.network)(node, edge, edge_index)
-        in_box = config.walls == "box"
+        in_box = not config.sees_surfaces
         if in_box and compiles(history, output, backward=True) and self._compiles(scenes):
             scales, boxes = self._numbers(), self._boxes(scenes)
             arrays = (edge_index.numpy(), *boxes, np.float32(config.connectivity_radius))
@@ -272,7 +272,7 @@ class Simulator(nn.Module):
 
     def _kept_out(self, position: Tensor, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return positions of which the moved ones lie in nothing rigid; those of a simulator of boxes as they are."""
-        if self.config.walls == "box" or scenes.surfaces is None or not scenes.surfaces.inner:
+        if not self.config.sees_surfaces or scenes.surfaces is None or not scenes.surfaces.inner:
             return position
         return torch.where(scenes.moved[:, None], scenes.surfaces.keep_out(position, scenes.batch), history[:, -1])
 

@@ -76,7 +76,7 @@ def check_run(run: Run, config: SimulatorConfig) -> None:
     start = run.start
     if start.scene.dim != config.dim:
         raise InputError(f"this simulator has {config.dim} dimensions, scene {start.scene.name!r} {start.scene.dim}.")
-    if config.walls == "box":
+    if not config.sees_surfaces:
         check_bare(f"scene {start.scene.name!r}", start.scene)
     if start.material_features[: len(config.material_features)] != config.material_features:
         raise InputError(

@@ -97,8 +97,11 @@ class CorrectedSolver(TrainedSolver):
 
     def unsupported_reason(self, scene: Scene) -> str | None:
         """Return what of a scene it has no means for, or None; a retuned coarse run takes obstacles."""
-        plain = scene if self.coarse is None else scene.replace(obstacles=())
-        return super().unsupported_reason(plain)
+        if self.coarse is None:
+            return super().unsupported_reason(scene)
+        if scene.dim != self.dim:  # nor are slices run: the retuned run's scalars are of one dimension
+            return f"has {self.dim} dimensions, the scene {scene.dim}"
+        return super().unsupported_reason(scene.replace(obstacles=()))
 
     def out_of_range_reason(self, scene: Scene) -> str | None:
         """Return what of a scene was not in the data, or None."""
