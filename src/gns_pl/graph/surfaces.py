@@ -167,8 +167,8 @@ class Surfaces:
         """Return where particles were before their scenes were turned [N, D] [m]."""
         if self.turn is None:
             return position
-        sign, offset, order = (tensor[self._own(batch)] for tensor in self.turn)
-        return sign * (torch.zeros_like(position).scatter(-1, order.expand_as(position), position) - offset)
+        sign, offset, _ = (tensor[self._own(batch)] for tensor in self.turn)
+        return self._without_turn(position, batch) - sign * offset
 
     def _without_turn(self, vector: Tensor, batch: Tensor) -> Tensor:
         """Return vectors as they were before their scenes were turned [N, D]."""
