@@ -52,6 +52,12 @@ MISSPELT = [
     ("train", ("+training.bach_size=3",), "there is no key training.bach_size (did you mean training.batch_size?)"),
     ("train", ("bach_size=3",), "(did you mean training.batch_size?)"),
     ("train", ("training={bach_size:3}",), "(did you mean training.batch_size?)"),
+    (
+        "generate",
+        ("data=column_runs", "data.families.valid_1.2.count=1"),
+        "the name valid_1.2 has a dot in it, a step down for a command line; give it as a mapping, as "
+        "'data.families={valid_1.2:{…}}'",
+    ),
     ("train", ("~logger.wnadb",), "there is no key logger.wnadb (did you mean logger.wandb?)"),
     (
         "train",

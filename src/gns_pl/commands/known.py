@@ -207,10 +207,29 @@ def shown(value: Any) -> str:
 
 def unknown_key(key: str, base: DictConfig) -> InputError:
     """Return the error for a key that a command does not have, with the one that may have been meant."""
+    owner, name = _name_with_dot(key, base)
+    if name:
+        return InputError(
+            f"{key}: the name {name} has a dot in it, a step down for a command line; give it as a mapping, as "
+            f"'{owner}={{{name}:{{…}}}}', which leaves the others as they are."
+        )
     meant = did_you_mean(key, all_keys(base), dotted=True)
     new = any(key.startswith(f"{each}.") for each in (*OPEN, *UNTYPED))
     added = f"; a new one is added by a + before it: +{key}=…" if new else ""
     return InputError(f"there is no key {key}{meant}{added or ('.' if meant else _siblings(key, base))}")
+
+
+def _name_with_dot(key: str, base: DictConfig) -> tuple[str, str]:
+    """Return the first name with a dot in it on the way to a key, and the key of what holds it; else empty texts."""
+    content: Any = OmegaConf.to_container(base, resolve=False)
+    owner = ""
+    while isinstance(content, Mapping):
+        rest = key[len(owner) + 1 :] if owner else key
+        name = max((str(each) for each in content if f"{rest}.".startswith(f"{each}.")), key=len, default="")
+        if not name or "." in name:
+            return owner, name
+        owner, content = f"{owner}.{name}" if owner else name, content[name]
+    return "", ""
 
 
 def all_keys(base: DictConfig) -> list[str]:
