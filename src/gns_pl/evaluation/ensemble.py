@@ -182,7 +182,7 @@ def _cells(base: Scene, solver: Solver, settings: Mapping[str, Any]) -> tuple[Ma
 
 def interval_of(scene: Scene, settings: Mapping[str, Any]) -> float:
     """Return the time between frames of a member [s]."""
-    return float(settings["choice"]["frame_interval"] or frame_interval_of(scene))
+    return float(frame_interval_of(scene, settings["choice"]["frame_interval"]))
 
 
 def _file(folder: Path, number: int) -> Path:

@@ -85,12 +85,14 @@ def num_frames(scene: Scene, interval: float) -> int:
     return round(scene.duration / interval) + 1
 
 
-def frame_interval_of(scene: Scene) -> float:
-    """Return the time between frames where nobody says [s]: `FRAME_INTERVAL`, or more.
+def frame_interval_of(scene: Scene, given: float | None = None) -> float:
+    """Return the time between frames [s]: what is given, and where nobody says `FRAME_INTERVAL`, or more.
 
     More, 1, 2 or 5 times a power of ten, where that is too fine for the size of a scene or the time of a slide; never
     more than the scene lasts.
     """
+    if given is not None:
+        return given
     wanted = FRAME_INTERVAL
     if any(scene.gravity):
         wanted = max(wanted, characteristic_time(scene) / FRAMES_PER_TIME)

@@ -112,7 +112,7 @@ class MPMSolver(Solver):
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory; arguments as those of `Solver.run`. An unstable run is refused, watched or not."""
-        interval = frame_interval_of(scene) if interval is None else interval
+        interval = frame_interval_of(scene, interval)
         num_frames(scene, interval)  # refuses one that leaves nothing to run
         reduction, settings = self.reduced(scene), self.settings_of(scene)
         trajectory = mpm_settings.run_solver(
@@ -146,7 +146,7 @@ class MPMSolver(Solver):
         reductions = [self.reduced(scene) for scene in scenes]
         settings = [self.settings_of(scene) for scene in scenes]
         trajectories: dict[int, Trajectory] = {}
-        intervals = [frame_interval_of(scene) if interval is None else interval for scene in scenes]
+        intervals = [frame_interval_of(scene, interval) for scene in scenes]
         for scene, every in zip(scenes, intervals, strict=True):
             num_frames(scene, every)
         keys = [(own["cell_size"], every) for own, every in zip(settings, intervals, strict=True)]

@@ -118,7 +118,7 @@ class ShallowSolver(Solver):
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory, whose particles show the layer; arguments as those of `Solver.run`."""
         reduction, began = self.reduced(scene), time.perf_counter()
-        interval = frame_interval_of(scene) if interval is None else interval
+        interval = frame_interval_of(scene, interval)
         trajectory = simulate(reduction.scene, self.config(scene), frame_interval=interval, seed=seed)
         seconds = time.perf_counter() - began
         provenance = {**trajectory.provenance, **self.facts(scene), "seed": seed, "wall_seconds": seconds}

@@ -152,7 +152,7 @@ def simulate_by_choice(
             promise = {"tolerance": tolerance, "of": tolerance_of, "expected_error": option.errors.get(tolerance_of)}
             notes.append({} if solver else {"choice": promise})
             _tell_notices(option.solver, scene, check)
-            interval = frame_interval_of(scene) if choice["frame_interval"] is None else choice["frame_interval"]
+            interval = frame_interval_of(scene, choice["frame_interval"])
             end = (num_frames(scene, interval) - 1) * interval
             if option.solver.group not in LEARNED and abs(end / scene.duration - 1) > END:
                 print(f"{scene.name}: frames {interval:g} s apart end at {end:g} s, not at {scene.duration:g} s.")
@@ -211,7 +211,7 @@ def simulate(
     solvers = list(solvers) * (len(scenes) if len(solvers) == 1 else 1)
     prepare(out, scenes)
     paths = [out / f"{scene.name}.h5" for scene in scenes] if files is None else list(files)
-    intervals = [frame_interval_of(scene) if interval is None else interval for scene in scenes]
+    intervals = [frame_interval_of(scene, interval) for scene in scenes]
     for one, scene, every in zip(solvers, scenes, intervals, strict=True):
         one.reduced(scene)  # refuses what cannot be run, before anything is
         num_frames(scene, every)

@@ -48,7 +48,7 @@ class Still(Solver):
 
     def run(self, scene: Scene, *, interval: float | None = None, seed: int = 0, monitor: bool = True) -> Trajectory:
         """Return the trajectory; arguments as those of `Solver.run`."""
-        interval = frame_interval_of(scene) if interval is None else interval
+        interval = frame_interval_of(scene, interval)
         particles = fill_scene(scene, self.spacing(scene), jitter=0.5, generator=np.random.default_rng(seed))
         start = start_trajectory(scene, particles, interval, {"solver": self.name})
         return self._moved(start, np.arange(num_frames(scene, interval)) * interval)
