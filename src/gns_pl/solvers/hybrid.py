@@ -116,7 +116,8 @@ class HybridSolver(Solver):
         failed = "failed_at" in trajectory.provenance
         trajectory = replace(trajectory, provenance={**trajectory.provenance, **self.facts(scene)})
         if interval is not None:
-            trajectory = trajectory.resampled(interval, None if failed else scene.duration)
+            end = None if failed else reduction.scene.duration
+            trajectory = trajectory.resampled(interval / reduction.similarity.time, end)
         return reduction.lift(trajectory)
 
 

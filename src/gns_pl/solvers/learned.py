@@ -28,9 +28,10 @@ from gns_pl.rollout.stepper import Stepper
 from gns_pl.scene import Scene
 from gns_pl.scene.extent import num_frames
 from gns_pl.solvers.reduction import Reduction, halve_scene
-from gns_pl.solvers.solver import hashed
+from gns_pl.solvers.similarity import Similarity
+from gns_pl.solvers.solver import characteristic_size, hashed
 from gns_pl.solvers.trained import TrainedSolver
-from gns_pl.solvers.training_range import out_of_range
+from gns_pl.solvers.training_range import out_of_range, size_range
 from gns_pl.trajectory import Trajectory
 
 
@@ -111,10 +112,15 @@ class LearnedSolver(TrainedSolver):
     def reduced(self, scene: Scene) -> Reduction:
         """Return what is run: the slice for two dimensions, else a half for each mirror plane of a scene.
 
-        A smooth wall stands in for a mirror, so halves are for those that see surfaces and know smooth ones.
+        A smooth wall stands in for a mirror, so halves are for those that see surfaces and know smooth ones. A scene of
+        quite another size than the data's is run at theirs.
         """
-        reduction = super().reduced(scene)
-        return halve_scene(scene) if self.knows_surfaces and reduction.scene is scene else reduction
+        similarity = Similarity.of(characteristic_size(scene), size_range(self.data))
+        model = similarity.model(scene)
+        reduction = super().reduced(model)
+        if self.knows_surfaces and reduction.scene is model:
+            reduction = halve_scene(model)
+        return reduction.of_similar(scene, similarity)
 
     def file(self) -> Path | None:
         """Return the checkpoint's file."""
@@ -193,8 +199,8 @@ class LearnedSolver(TrainedSolver):
             for scene, reduction, number in zip(scenes, reductions, seeds, strict=True)
         ]
         if interval is not None:
-            for start in starts:
-                num_frames(start.scene, interval)  # refuses one that leaves nothing to show
+            for scene in scenes:  # refuses one that leaves nothing to show
+                num_frames(scene.scene if isinstance(scene, Trajectory) else scene, interval)
         steps = [
             (start.num_frames - given if start.num_frames > given else self.num_steps(start.scene))
             if num_steps is None
@@ -214,17 +220,18 @@ class LearnedSolver(TrainedSolver):
         self, trajectory: Trajectory, reduction: Reduction | None, num_frames: int, interval: float | None
     ) -> Trajectory:
         """Return a run with all its frames, also those after it came to rest, of the scene that was asked for."""
+        similarity = Similarity() if reduction is None else reduction.similarity
         scene, whole = trajectory.scene, "failed_at" not in trajectory.provenance
         missing = num_frames - trajectory.num_frames if whole else 0
         if missing > 0:
             frames = np.concatenate([trajectory.position, np.repeat(trajectory.position[-1:], missing, axis=0)])
             trajectory = replace(trajectory, position=frames)
         if interval is not None:
-            trajectory = trajectory.resampled(interval, scene.duration if whole else None)
+            trajectory = trajectory.resampled(interval / similarity.time, scene.duration if whole else None)
         provenance = {**trajectory.provenance, **self.facts(scene)}
         reason = next(out_of_range(scene, self.data), None)
         if reason is not None:
-            provenance["out_of_range"] = reason
+            provenance["out_of_range"] = similarity.told(reason)
         trajectory = replace(trajectory, provenance=provenance)
         return trajectory if reduction is None else reduction.lift(trajectory)
 

@@ -78,7 +78,8 @@ def _write(
     watches: Sequence[Watch | None],
 ) -> None:
     """Make the steps of all runs together and close every file when its scene is done."""
-    dt = solver.interval
+    intervals = ", ".join(sorted({f"{recording.interval:.3g}" for recording in recordings}))
+    dt = max(recording.interval for recording in recordings)
     for recording in recordings:
         if recording.reduction.description:
             print(f"{recording.start.scene.name}: {recording.reduction.description}")
@@ -87,8 +88,9 @@ def _write(
     needs = check_memory(stepper, list(runs), share=share_of_memory(stepper.device))
     total = max(run.num_steps for run in runs)
     label = ", ".join(run.start.scene.name for run in runs)
-    known = " after " + ", ".join(f"{run.made * dt:g} s" for run in runs) if any(r.source for r in recordings) else ""
-    print(f"{label}: {total} steps of {dt:g} s{known}; {needs}", flush=True)
+    past = ", ".join(f"{recording.made * recording.interval:.4g} s" for recording in recordings)
+    known = f" after {past}" if any(recording.source for recording in recordings) else ""
+    print(f"{label}: {total} steps of {intervals} s{known}; {needs}", flush=True)
     for recording in recordings:
         recording.open()
     how = {"device": str(stepper.device), "num_threads": torch.get_num_threads()}

@@ -92,7 +92,8 @@ def ood_message(checkpoint: Checkpoint, path: Path, reduction: Reduction | None 
     run = read_trajectory(path)
     run = run if reduction is None else reduction.flatten(run)
     found = compute_ood(checkpoint, run, every=max(1, header.num_frames // FRAMES))
-    return None if found is None else found.message()
+    message = None if found is None else found.message()
+    return message if message is None or reduction is None else reduction.similarity.told(message)
 
 
 def compute_ood(checkpoint: Checkpoint, run: Trajectory, *, every: int = 1) -> OutOfDistribution | None:

@@ -98,7 +98,7 @@ class Recording:
         same = (
             all(header.provenance.get(key, value) == value for key, value in start.provenance.items())
             and header.scene.replace(duration=whole.scene.duration) == whole.scene
-            and math.isclose(header.dt, start.dt, rel_tol=1e-6)
+            and math.isclose(header.dt, whole.dt, rel_tol=1e-6)
             and header.num_particles == whole.num_particles
             and np.array_equal(read_window(source, 0, 1), whole.position)
         )
@@ -119,6 +119,11 @@ class Recording:
         first = max(0, made + 1 - history)
         past = reduction.project(read_window(source, first, made + 1 - first))
         return cls(path, start, reduction, left, made, past, source, ended, saved)
+
+    @property
+    def interval(self) -> float:
+        """Time between the frames of the file [s]."""
+        return self.start.dt * self.reduction.similarity.time
 
     @property
     def is_done(self) -> bool:
@@ -168,9 +173,10 @@ class Recording:
         """
         assert self._stream is not None
         seconds = time.perf_counter() - self._began
-        self._stream.finish({**self.start.provenance, "wall_seconds": seconds, **provenance})
+        ending = self.reduction.similarity.ending(provenance)
+        self._stream.finish({**self.start.provenance, "wall_seconds": seconds, **ending})
         self.path.with_name(self.path.name + STATE).unlink(missing_ok=True)
-        return _ending(self._stream.num_frames, seconds, provenance)
+        return _ending(self._stream.num_frames, seconds, ending)
 
     def write(
         self,

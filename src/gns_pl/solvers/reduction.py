@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gns_pl.errors import InputError
 from gns_pl.scene import FACES, Body, Box, Plane, Scene, Wall
 from gns_pl.scene.boundaries import Obstacle
+from gns_pl.solvers.similarity import Similarity
 from gns_pl.trajectory import Trajectory
 
 HORIZONTAL = "xy"
@@ -35,6 +36,7 @@ class Reduction:
         description: what was done and why it may be; empty if nothing was.
         across: axis that a slice lacks; None if it is none.
         mirrors: axes across the mirrors of a half, in the order in which it was halved.
+        similarity: by how much the original scene is larger than what is run.
     """
 
     scene: Scene
@@ -42,6 +44,23 @@ class Reduction:
     description: str
     across: int | None = None
     mirrors: tuple[int, ...] = ()
+    similarity: Similarity = field(default_factory=Similarity)
+
+    def of_similar(self, scene: Scene, similarity: Similarity) -> Reduction:
+        """Return the reduction from a scene to what is run in the place of its model, of which this one is.
+
+        Args:
+            scene: the original one.
+            similarity: by which `similarity.model(scene)` is the scene that this was made of.
+        """
+        if similarity.length == 1:
+            return self
+        return replace(
+            self,
+            lift=lambda trajectory: similarity.lift(self.lift(trajectory), scene),
+            description="; ".join(filter(None, (similarity.description, self.description))),
+            similarity=similarity,
+        )
 
     def project(self, position: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the positions that a slice or a half was run with, of those it was lifted to [T, N, 2 or 3] [m].
@@ -49,13 +68,17 @@ class Reduction:
         Args:
             position: of all layers, of a half and its images, or of the scene itself [T, M, D] [m].
         """
+        position = position / np.float32(self.similarity.length)
         if self.across is None:
             return position[:, : position.shape[1] >> len(self.mirrors)]  # images stand behind (`_both`)
         layers = len(np.unique(position[0, :, self.across]))
         return np.delete(position[:, ::layers], self.across, axis=2)
 
     def flatten(self, lifted: Trajectory) -> Trajectory:
-        """Return the slice's trajectory again from the lifted one; what came in if this is no slice."""
+        """Return the trajectory of the model, or of its slice, again from the lifted one; what came in if none."""
+        if self.similarity.length != 1:
+            own = replace(self, similarity=Similarity())
+            return own.flatten(self.similarity.lower(lifted))
         if self.across is None:
             return lifted
         position = self.project(lifted.position)

@@ -60,7 +60,9 @@ class TrainedSolver(Solver):
 
     def out_of_range_reason(self, scene: Scene) -> str | None:
         """Return what of a scene was not in the data, or None."""
-        return next(out_of_range(self.reduced(scene).scene, self.data), None)
+        reduction = self.reduced(scene)
+        reason = next(out_of_range(reduction.scene, self.data), None)
+        return None if reason is None else reduction.similarity.told(reason)
 
     def reduced(self, scene: Scene) -> Reduction:
         """Return the scene's slice where two dimensions are wanted, else the scene itself.

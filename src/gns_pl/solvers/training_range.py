@@ -62,6 +62,20 @@ def out_of_range(scene: Scene, data: Mapping[str, Any]) -> Iterator[str]:
         yield from _beyond_shape(scene, body, families)
 
 
+def size_range(data: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return the least and the largest √(L0 H0) of the bodies of a data set [m]; None where it does not say."""
+    sizes: list[float] = []
+    for family in _families(data):
+        for pick in (min, max):
+            if "side" in family:
+                sizes.append(pick(family["side"]))
+            elif "length" in family and ("height" in family or "aspect_ratio" in family):
+                length = pick(family["length"])
+                height = pick(family["height"]) if "height" in family else length * pick(family["aspect_ratio"])
+                sizes.append(math.sqrt(length * height))
+    return (min(sizes), max(sizes)) if sizes else None
+
+
 def _families(data: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
     """Yield the families of a data set; each given scene is one, of the numbers that it has."""
     for family in data.get("families", {}).values():
