@@ -188,6 +188,37 @@ def test_derivatives(dim: int) -> None:
     assert torch.autograd.gradcheck(lambda place: surfaces.keep_out(place, batch), position)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_loops_see_what_torch_sees(dim: int, turned: bool) -> None:
+    """In single precision a particle a time; also of scenes that were mirrored, and without what a contact would do."""
+    scenes = [furnished(dim), make_scene(dim), make_scene(dim, terrain=incline(dim))]
+    plain = Surfaces.joined([surfaces_of(scene, 0.05) for scene in scenes])
+    position, fall = places(3 * 200, dim), speeds(3 * 200, dim)
+    batch = torch.arange(3).repeat_interleave(200)
+    if turned:
+        static = make_static(600, graphs=3)
+        static = dataclasses.replace(static, lower=static.lower[:, :dim], upper=static.upper[:, :dim], batch=batch)
+        symmetry = Symmetry.sample(static, make_random(static, seed=2), torch.float64)
+        plain = plain.turned(symmetry.sign.float(), symmetry.offset.float(), symmetry.order)
+        assert (symmetry.sign < 0).any()
+    exact = plain.in_precision(torch.float64)
+    for wanted in (fall, None):
+        expected = exact.fields(position, batch, RADIUS, wanted)
+        found = plain.fields(position.float(), batch, RADIUS, None if wanted is None else wanted.float())
+        for name in ("approach", "grip", "ground"):
+            torch.testing.assert_close(getattr(found, name).double(), getattr(expected, name), atol=2e-5, rtol=1e-4)
+        if wanted is not None:
+            assert found.contact is not None and expected.contact is not None
+            torch.testing.assert_close(found.contact.double(), expected.contact, atol=2e-4, rtol=1e-3)
+        else:
+            assert found.contact is None
+    out = plain.keep_out(position.float(), batch)
+    torch.testing.assert_close(out.double(), exact.keep_out(position, batch), atol=1e-5, rtol=1e-5)
+    with_gradient = plain.fields(position.float().requires_grad_(), batch, RADIUS, fall.float())
+    torch.testing.assert_close(with_gradient.approach, plain.fields(position.float(), batch, RADIUS).approach)
+
+
 def test_mirrored_scenes_are_seen_mirrored() -> None:
     """Ground is not alike on both sides, so it has to be turned with the particles."""
     graphs, number = 16, 20

@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
-FLATTEST = 0.25
-"""A plane counts as ground below a particle where the vertical part of its normal is larger than this."""
-
-DEEPEST = 1.5
-"""The weight of a surface of which a particle is inside ends here."""
+from gns_pl.graph.surface_loops import DEEPEST, FLATTEST, push_out, see
+from gns_pl.machine import compiles
 
 
 class SurfaceFields(NamedTuple):
@@ -123,6 +121,10 @@ class Surfaces:
                 `contact` is not wanted.
         """
         own, place = self._own(batch), self._back(position, batch)
+        if falling is not None:
+            falling = self._without_turn(falling, batch)
+        if compiles(place, self.normal, *(() if falling is None else (falling,))):
+            return self._seen_in_loops(place, batch, radius, falling)
         distances, normals, ground = self._planes(place, own)
         distance, normal, top = self._cuboids(place, own)
         height, up_distance, up = self._ground(place, own)
@@ -134,7 +136,7 @@ class Surfaces:
         ground = torch.stack([ground, top, height]).amax(dim=0)
         contact = None
         if falling is not None:
-            impulse = _coulomb(self._without_turn(falling, batch)[:, None], normals, grip)
+            impulse = _coulomb(falling[:, None], normals, grip)
             contact = self._there((weight[..., None] * impulse).sum(dim=1), batch)
         return SurfaceFields(self._there(approach, batch), self._there(held, batch), ground, contact)
 
@@ -148,6 +150,10 @@ class Surfaces:
         if not self.inner:
             return position
         own, place = self._own(batch), self._back(position, batch)
+        if self.turn is None and compiles(place, self.normal):
+            place = place.clone(memory_format=torch.contiguous_format)
+            push_out(place.numpy(), batch.numpy(), *self._arrays("normal", "offset", "lower", "upper", *_OF_GROUND))
+            return place
         distance, normal, _ = self._planes(place, own)
         place = place + ((-distance).clamp_min(0)[..., None] * normal).sum(dim=1)
         distance, normal, _ = self._cuboids(place, own)
@@ -158,6 +164,21 @@ class Surfaces:
             sign, offset, order = (tensor[own] for tensor in self.turn)
             return (sign * place + offset).gather(-1, order.expand_as(place))
         return place
+
+    def _seen_in_loops(self, place: Tensor, batch: Tensor, radius: float, falling: Tensor | None) -> SurfaceFields:
+        """Return `fields`, of what is as before it was turned."""
+        speed = place[:0] if falling is None else falling
+        tables = self._arrays(
+            "normal", "offset", "plane_grip", "lower", "upper", "cuboid_grip", *_OF_GROUND, "ground_grip"
+        )
+        numbers = (place.contiguous().numpy(), batch.numpy(), speed.contiguous().numpy(), np.float32(radius))
+        seen, below = see(*numbers, *tables)
+        approach, held, contact = torch.from_numpy(seen).unbind(1)
+        thrown = None if falling is None else self._there(contact, batch)
+        return SurfaceFields(self._there(approach, batch), self._there(held, batch), torch.from_numpy(below), thrown)
+
+    def _arrays(self, *names: str) -> list[Any]:
+        return [getattr(self, name).contiguous().numpy() for name in names]
 
     def _own(self, batch: Tensor) -> Tensor | slice:
         """Return what picks every particle's scene; of a single one its row alone, not N copies of it."""
@@ -241,6 +262,8 @@ class Surfaces:
 
 
 _TENSORS = tuple(entry.name for entry in fields(Surfaces) if entry.name not in ("inner", "turn"))
+
+_OF_GROUND = ("heights", "first", "shape", "corner", "cell")
 
 FAR = 1e6
 """Distance of the surfaces that scenes of fewer ones are filled up with [m]."""
