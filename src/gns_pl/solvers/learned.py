@@ -104,6 +104,11 @@ class LearnedSolver(TrainedSolver):
         """Of the training."""
         return self.checkpoint.provenance
 
+    @cached_property
+    def _sizes(self) -> tuple[float, float] | None:
+        """The least and the largest √(L0 H0) of the data [m]."""
+        return size_range(self.data)
+
     @property
     def knows_surfaces(self) -> bool:
         """Whether it takes obstacles and terrain: a simulator that sees surfaces."""
@@ -115,7 +120,7 @@ class LearnedSolver(TrainedSolver):
         A smooth wall stands in for a mirror, so halves are for those that see surfaces and know smooth ones. A scene of
         quite another size than the data's is run at theirs.
         """
-        similarity = Similarity.of(characteristic_size(scene), size_range(self.data))
+        similarity = Similarity.of(characteristic_size(scene), self._sizes)
         model = similarity.model(scene)
         reduction = super().reduced(model)
         if self.knows_surfaces and reduction.scene is model:
