@@ -112,6 +112,35 @@ def test_a_particle_on_an_incline_slides_as_a_block(degrees: float) -> None:
     torch.testing.assert_close(falling + contact, expected, atol=1e-6, rtol=0)
 
 
+@pytest.mark.parametrize("output", ["acceleration", "gated"])
+@pytest.mark.parametrize("degrees", [10.0, 30.0])
+def test_a_network_that_adds_nothing_leaves_a_block_on_an_incline(output: str, degrees: float) -> None:
+    """From 0.5 m/s down: v = v0 + g (sin θ − μ cos θ) t, or at rest once that is used up; the place is exact, too."""
+    angle, mu, steps = np.radians(degrees), 0.25, 20
+    along = np.linspace(-0.5, 1.5, 81)
+    scene = make_scene(2, terrain=Terrain(0.1 + np.tan(angle) * along, (-0.5,), 0.025, GROUND))
+    simulator = make_simulator(
+        dim=2, output=output, walls="contacts", input_sequence_length=2, connectivity_radius=RADIUS
+    )
+    static = dataclasses.replace(make_static(1, gravity=(0.0, -9.81)), surfaces=surfaces_of(scene, 0.05))
+    down, dt = np.array([-np.cos(angle), -np.sin(angle)]), simulator.config.dt
+    first = np.array([0.8, 0.1 + 0.8 * np.tan(angle)])
+    history = torch.tensor(np.stack([first - 0.5 * dt * down, first])[None], dtype=torch.float32)
+    width = 2 * (1 + (output == "gated")) + 1
+    nothing = torch.zeros(1, width)
+    if output == "gated":
+        nothing[:, 2:4] = 50.0  # wide open
+    speed, way = 0.5, 0.0
+    with torch.inference_mode():
+        for _ in range(steps):
+            place = simulator(history, static, network=lambda *features: nothing)
+            history = torch.stack([history[:, -1], place], dim=1)
+            speed = max(0.0, speed + 9.81 * (np.sin(angle) - mu * np.cos(angle)) * dt)
+            way += speed * dt
+    np.testing.assert_allclose(history[0, -1].numpy(), first + way * down, atol=2e-4)
+    assert 0.03 < way < 0.5
+
+
 def test_friction_of_walls() -> None:
     assert [grip(wall) for wall in (Wall("slip"), Wall("friction", 0.25), Wall("friction", 1.0), Wall("stick"))] == [
         0.0,

@@ -35,7 +35,8 @@ class SimulatorConfig:
         neighbours: backend of `radius_graph`.
         walls: what is known of walls. "box": distances to the faces of the box, of one condition; "surfaces": distance,
             normal and friction of faces, obstacles and terrain within the radius (`graph.surfaces`); "contacts": these,
-            and what each of them would do to a single particle that touches it, by Coulomb's law.
+            and what each of them would do to a single particle that touches it, by Coulomb's law; 1 + q times that is
+            in the step, and the network gives q besides.
         network: from features to the output: a registered name, "module.Class", or a mapping of "_target_" and options
             (`nn.network`).
 

@@ -61,7 +61,7 @@ class Simulator(nn.Module):
             config.network,
             node_width=self.node_width(),
             edge_width=edge_width(config.dim),
-            output_width=config.dim * (2 if config.output == "gated" else 1),
+            output_width=config.dim * (2 if config.output == "gated" else 1) + int(config.walls == "contacts"),
             latent_size=config.latent_size,
             num_mlp_layers=config.num_mlp_layers,
             num_message_passing_steps=config.num_message_passing_steps,
@@ -163,6 +163,11 @@ class Simulator(nn.Module):
         )
         return node, edge_index
 
+    def _contact(self, node: Tensor) -> Tensor:
+        """Return what contacts do in a step by `node_features`, in units of `acceleration_scale` [N, D]."""
+        dim, begin = self.config.dim, self.config.dim * (self.config.input_sequence_length + 1)
+        return node[:, begin : begin + dim] * (self.velocity_scale / (self.config.dt * self.acceleration_scale))
+
     def state(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return all that a step depends on of every particle and its surroundings, by which states are compared.
 
@@ -213,7 +218,9 @@ class Simulator(nn.Module):
         node, edge_index = self.features(history, scenes, search)
         edge = edge_features(position, edge_index, config.connectivity_radius)
         output: Tensor = (network or self.network)(node, edge, edge_index)
-        in_box = not config.sees_surfaces
+        in_box, share = not config.sees_surfaces, None
+        if config.walls == "contacts":
+            output, share = output[:, :-1], output[:, -1:]
         if in_box and compiles(history, output, backward=True) and self._compiles(scenes):
             scales, boxes = self._numbers(), self._boxes(scenes)
             arrays = (edge_index.numpy(), *boxes, np.float32(config.connectivity_radius))
@@ -223,6 +230,8 @@ class Simulator(nn.Module):
             velocity = history.diff(dim=1) / config.dt
             falling = velocity[:, -1] / config.dt + scenes.of_particles(scenes.gravity)  # (v + g Δt) / Δt
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
+        if share is not None:
+            output = output + (1 + share) * self._contact(node)
         contact = self._at_wall(position, scenes) if in_box else near_surfaces(node, history[:, 1:])
         return torch.where(_met(edge_index, contact)[:, None], output, 0.0)
 
