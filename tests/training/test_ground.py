@@ -88,6 +88,20 @@ def test_state_has_a_name_for_every_column(trained: Path) -> None:
     assert simulator.state_names()[3:12] == ["surfaces"] * 3 + ["friction of surfaces"] * 3 + ["contact"] * 3
 
 
+def test_weights_from_before_contacts_were_in_the_step_are_refused_with_what_to_do(
+    trained: Path, tmp_path: Path
+) -> None:
+    content = torch.load(trained / "last.ckpt", weights_only=True)
+    last = [name for name in content["state_dict"] if "decoder" in name][-2:]
+    for name in last:
+        content["state_dict"][name] = content["state_dict"][name][:-1]
+    torch.save(content, tmp_path / "old.ckpt")
+    with pytest.raises(
+        InputError, match="before contacts had a factor of their own in the output: then train it again"
+    ):
+        load_checkpoint(tmp_path / "old.ckpt")
+
+
 def test_a_simulator_of_boxes_is_not_trained_on_ground(ground_root: Path, trained: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has obstacles, which .* does not know; set model\.walls=contacts"):
         train(config(ground_root, tmp_path, "model.walls=box"), tmp_path, None)

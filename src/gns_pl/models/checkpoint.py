@@ -131,7 +131,10 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     try:
         simulator.load_state_dict(weights)
     except RuntimeError as error:
-        raise InputError(f"{path}: its weights do not fit its own configuration; the file is damaged.") from error
+        reason = "the file is damaged"
+        if entry["config"].get("walls") == "contacts":
+            reason += ", or from before contacts had a factor of their own in the output: then train it again"
+        raise InputError(f"{path}: its weights do not fit its own configuration; {reason}.") from error
     distribution = TrainingDistribution.from_dict(entry["seen"]) if "seen" in entry else None
     return Checkpoint(simulator.eval(), entry["data"], entry["provenance"], distribution)
 
