@@ -227,6 +227,25 @@ def near_surfaces(node: Tensor, velocity: Tensor) -> Tensor:
     return (node.detach()[:, begin:end] != 0).any(dim=1)
 
 
+def seen_contacts(node: Tensor, velocity: Tensor) -> Tensor:
+    """Return what contacts add to velocities, over their scale [N, D]; arguments as of `near_surfaces`."""
+    _, end = _wall_columns(velocity)
+    return node[:, end : end + velocity.shape[2]]
+
+
+def touched(edge_index: Tensor, contact: Tensor) -> Tensor:
+    """Return which particles have a neighbour, or are in contact anyway [N] bool.
+
+    Args:
+        edge_index: [2, E].
+        contact: [N] bool.
+    """
+    sender, receiver = edge_index
+    met = contact.new_zeros(len(contact) + 1)
+    met.index_fill_(0, torch.where(sender == receiver, len(contact), receiver), True)  # a node itself is padding
+    return contact | met[:-1]
+
+
 def edge_width(dim: int) -> int:
     """Return the width of `edge_features`."""
     return dim + 1

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
-from gns_pl.graph.features import in_precision, near_surfaces
+from gns_pl.graph.features import in_precision, near_surfaces, seen_contacts, touched
 from gns_pl.machine import compiles
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.step_loops import gated_in_contact, integrated
@@ -163,11 +163,6 @@ class Simulator(nn.Module):
         )
         return node, edge_index
 
-    def _contact(self, node: Tensor) -> Tensor:
-        """Return what contacts do in a step by `node_features`, in units of `acceleration_scale` [N, D]."""
-        dim, begin = self.config.dim, self.config.dim * (self.config.input_sequence_length + 1)
-        return node[:, begin : begin + dim] * (self.velocity_scale / (self.config.dt * self.acceleration_scale))
-
     def state(self, history: Tensor, scenes: SceneBatch) -> Tensor:
         """Return all that a step depends on of every particle and its surroundings, by which states are compared.
 
@@ -231,9 +226,10 @@ class Simulator(nn.Module):
             falling = velocity[:, -1] / config.dt + scenes.of_particles(scenes.gravity)  # (v + g Δt) / Δt
             output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
         if share is not None:
-            output = output + (1 + share) * self._contact(node)
+            alone = seen_contacts(node, history[:, 1:]) * self.velocity_scale / config.dt
+            output = output + (1 + share) * alone / self.acceleration_scale
         contact = self._at_wall(position, scenes) if in_box else near_surfaces(node, history[:, 1:])
-        return torch.where(_met(edge_index, contact)[:, None], output, 0.0)
+        return torch.where(touched(edge_index, contact)[:, None], output, 0.0)
 
     def _at_wall(self, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Return which particles have a wall within the connectivity radius [N] bool."""
@@ -312,16 +308,3 @@ class Simulator(nn.Module):
         history, scenes = in_precision(history, scenes, self.velocity_scale.dtype)
         normalised = self.normalised_acceleration(history, scenes, search=search, network=network)
         return self.integrate(history, normalised, scenes)
-
-
-def _met(edge_index: Tensor, contact: Tensor) -> Tensor:
-    """Return which particles have a neighbour, or are in contact anyway [N] bool.
-
-    Args:
-        edge_index: [2, E].
-        contact: [N] bool.
-    """
-    sender, receiver = edge_index
-    met = contact.new_zeros(len(contact) + 1)
-    met.index_fill_(0, torch.where(sender == receiver, len(contact), receiver), True)  # a node itself is padding
-    return contact | met[:-1]
