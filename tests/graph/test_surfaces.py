@@ -248,6 +248,18 @@ def test_loops_see_what_torch_sees(dim: int, turned: bool) -> None:
     torch.testing.assert_close(with_gradient.approach, plain.fields(position.float(), batch, RADIUS).approach)
 
 
+@pytest.mark.parametrize("place", [float("nan"), float("inf"), -1e30])
+def test_a_run_that_broke_costs_nobody_else(place: float) -> None:
+    """What is nowhere reads nothing beyond the heights, which a compiled loop does not check."""
+    surfaces, batch = surfaces_of(furnished(3), 0.05), torch.zeros(50, dtype=torch.int64)
+    position, broken = places(50, 3).float(), places(50, 3).float()
+    broken[7] = place
+    others = torch.arange(50) != 7
+    kept, found = surfaces.keep_out(broken, batch), surfaces.fields(broken, batch, RADIUS)
+    assert torch.equal(kept[others], surfaces.keep_out(position, batch)[others])
+    assert torch.equal(found.approach[others], surfaces.fields(position, batch, RADIUS).approach[others])
+
+
 def test_mirrored_scenes_are_seen_mirrored() -> None:
     """Ground is not alike on both sides, so it has to be turned with the particles."""
     graphs, number = 16, 20

@@ -56,7 +56,9 @@ def fill_spline(place: Any, corner: Any, cell: Any, count: Any, weight: Any, slo
     """Fill in the quadratic B-splines of an axis at a place and their slopes [3]; return the first, what is beyond."""
     half = np.float32(0.5)
     along = (place - corner) / cell
-    base = min(np.floor(max(along - half, np.float32(0))), np.float32(count - 3))
+    base = np.float32(0)
+    if along > half:  # NaN, of a run that broke, is no place in the table
+        base = min(np.floor(along - half), np.float32(count - 3))
     part = along - base - np.float32(1)
     inside = min(max(part, -half), half)
     low, high = half - inside, half + inside
