@@ -10,14 +10,16 @@ import torch
 
 from gns_pl.data.solids import grip, surfaces_of
 from gns_pl.errors import InputError
-from gns_pl.graph import Surfaces, node_features
+from gns_pl.graph import SceneBatch, Surfaces, node_features
+from gns_pl.models.config import OUTPUTS
 from gns_pl.scene import Body, Box, Plane, Scene, Wall, signed_distance
 from gns_pl.scene.definition import FACES
 from gns_pl.scene.terrain import Terrain
 from gns_pl.training.symmetry import Symmetry
 from tests.conftest import SAND, make_random, make_simulator, make_static
 
-RADIUS = 0.1
+RADIUS, TOUCHING = 0.1, 0.03
+NEAR = {"radius": RADIUS, "touching": TOUCHING, "ahead": 0.0}
 ROUGH, GROUND = Wall("friction", 0.5), Wall("friction", 0.25)
 
 
@@ -66,7 +68,7 @@ def seen(scene: Scene) -> Surfaces:
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_sums_are_those_of_all_surfaces(dim: int) -> None:
-    """Each pushes along its normal by 1 − d / R, and holds by its friction as well."""
+    """Each pushes along its normal by 1 − d / R, holds by its friction as well, and stops as what touches it."""
     scene, position = furnished(dim), places(300, dim)
     approach, held, contact, falling = *np.zeros((3, 300, dim)), speeds(300, dim)
 
@@ -74,12 +76,13 @@ def test_sums_are_those_of_all_surfaces(dim: int) -> None:
         nonlocal approach, held, contact
         weight = np.clip(1 - distance / RADIUS, 0, 1.5)
         approach, held = approach + weight[:, None] * normal, held + grip(wall) * weight[:, None] * normal
+        near = np.clip((RADIUS - distance) / (RADIUS - TOUCHING), 0, 1)
         for row, (fall, up) in enumerate(zip(falling.numpy(), normal, strict=True)):
             into, along = -(fall @ up), fall - (fall @ up) * up
             if into > 0:  # Coulomb's law of a single particle
                 most = np.inf if wall.condition == "stick" else wall.friction * into
                 stopped = along * min(1.0, most / np.linalg.norm(along))
-                contact[row] += weight[row] * (into * up - stopped)
+                contact[row] += near[row] * (into * up - stopped)
 
     assert scene.terrain is not None
     for axis in range(dim):
@@ -89,9 +92,9 @@ def test_sums_are_those_of_all_surfaces(dim: int) -> None:
     for obstacle in scene.obstacles:
         add(*signed_distance(obstacle, position.numpy()), obstacle.wall)
     add(*scene.terrain.signed_distance(position.numpy()), GROUND)
-    found = seen(scene).fields(position, torch.zeros(300, dtype=torch.int64), RADIUS, falling)
-    assert found.contact is not None
-    np.testing.assert_allclose(found.contact.numpy(), contact, atol=1e-3)  # a wall that sticks has a friction of 1,000
+    batch = torch.zeros(300, dtype=torch.int64)
+    found, added = seen(scene).fields(position, batch, RADIUS), seen(scene).contacts(falling, position, batch, **NEAR)
+    np.testing.assert_allclose(added.numpy(), contact, atol=1e-3)  # a wall that sticks has a friction of 1,000
     np.testing.assert_allclose(found.approach.numpy(), approach, atol=1e-6)
     np.testing.assert_allclose(found.grip.numpy(), held, atol=1e-6)
     assert np.abs(approach).max() > 1
@@ -105,14 +108,13 @@ def test_a_particle_on_an_incline_slides_as_a_block(degrees: float) -> None:
     scene = make_scene(2, terrain=Terrain(0.1 + np.tan(angle) * along, (-0.5,), 0.025, GROUND))
     place = torch.tensor([[0.4, 0.1 + 0.4 * np.tan(angle)]])
     falling = torch.tensor([[0.0, -step]], dtype=torch.float64)
-    contact = seen(scene).fields(place, torch.zeros(1, dtype=torch.int64), RADIUS, falling).contact
-    assert contact is not None
+    contact = seen(scene).contacts(falling, place, torch.zeros(1, dtype=torch.int64), **NEAR)
     left = max(0.0, np.sin(angle) - 0.25 * np.cos(angle)) * step
     expected = -left * torch.tensor([[np.cos(angle), np.sin(angle)]])
     torch.testing.assert_close(falling + contact, expected, atol=1e-6, rtol=0)
 
 
-@pytest.mark.parametrize("output", ["acceleration", "gated"])
+@pytest.mark.parametrize("output", OUTPUTS)
 @pytest.mark.parametrize("degrees", [10.0, 30.0])
 def test_a_network_that_adds_nothing_leaves_a_block_on_an_incline(output: str, degrees: float) -> None:
     """From 0.5 m/s down: v = v0 + g (sin θ − μ cos θ) t, or at rest once that is used up; the place is exact, too."""
@@ -126,10 +128,8 @@ def test_a_network_that_adds_nothing_leaves_a_block_on_an_incline(output: str, d
     down, dt = np.array([-np.cos(angle), -np.sin(angle)]), simulator.config.dt
     first = np.array([0.8, 0.1 + 0.8 * np.tan(angle)])
     history = torch.tensor(np.stack([first - 0.5 * dt * down, first])[None], dtype=torch.float32)
-    width = 2 * (1 + (output == "gated")) + 1
-    nothing = torch.zeros(1, width)
-    if output == "gated":
-        nothing[:, 2:4] = 50.0  # wide open
+    nothing = torch.zeros(1, 2 if output == "acceleration" else 4)
+    nothing[:, 2:] = 50.0  # a gate that is wide open
     speed, way = 0.5, 0.0
     with torch.inference_mode():
         for _ in range(steps):
@@ -139,6 +139,34 @@ def test_a_network_that_adds_nothing_leaves_a_block_on_an_incline(output: str, d
             way += speed * dt
     np.testing.assert_allclose(history[0, -1].numpy(), first + way * down, atol=2e-4)
     assert 0.03 < way < 0.5
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.15])
+def test_ground_that_bends_presses_by_the_square_of_speed(mu: float) -> None:
+    """Through a round valley as the law of motion says: s'' = −g sin θ − μ (g cos θ + v² / r), to 3 % of the way up.
+
+    Half of v² / r was missing where normals were those at the place that a particle is leaving.
+    """
+    r, first = 0.6, 0.6
+    place = np.arange(-0.5, 0.5 + 1e-9, 0.01)
+    scene = make_scene(2, terrain=Terrain(0.1 + r - np.sqrt(r**2 - place**2), (0.0,), 0.01, Wall("friction", mu)))
+    simulator = make_simulator(dim=2, output="acceleration", walls="contacts", connectivity_radius=RADIUS)
+    static = dataclasses.replace(make_static(1, gravity=(0.0, -9.81)), surfaces=surfaces_of(scene, 0.02))
+    dt, start = simulator.config.dt, np.array([0.5 - r * np.sin(first), 0.1 + r - r * np.cos(first)])
+    history = torch.tensor(np.repeat(start[None], simulator.history_length, axis=0)[None], dtype=torch.float32)
+    along, speed, highest, found = -first, 0.0, -first, -first
+    with torch.inference_mode():
+        for _ in range(int(2.5 / dt)):
+            step = simulator(history, static, network=lambda *features: torch.zeros(1, 2))
+            history = torch.cat([history[:, 1:], step[:, None]], dim=1)
+            found = max(found, float(np.arcsin((history[0, -1, 0] - 0.5) / r)))
+            for _ in range(100):
+                pull = -9.81 * np.sin(along) - mu * (9.81 * np.cos(along) + speed**2 / r) * np.sign(speed)
+                speed += pull * dt / 100
+                along += speed * dt / 100 / r
+            highest = max(highest, along)
+    np.testing.assert_allclose(found, highest, rtol=0.03)
+    assert highest > (0.25 if mu else 0.59)
 
 
 def test_friction_of_walls() -> None:
@@ -169,7 +197,8 @@ def test_plane_and_terrain_of_one_slope_are_alike() -> None:
     position[:, 2] += 0.4  # away from the box's own floor, which the terrain takes the place of
     batch, fall = torch.zeros(200, dtype=torch.int64), speeds(200, 3)
     one, other = (
-        seen(scene).fields(position, batch, RADIUS, fall) for scene in (plane, make_scene(terrain=incline(3)))
+        (*seen(scene).fields(position, batch, RADIUS), seen(scene).contacts(fall, position, batch, **NEAR))
+        for scene in (plane, make_scene(terrain=incline(3)))
     )
     for left, right in zip(one, other, strict=True):
         torch.testing.assert_close(left, right, atol=1e-6, rtol=0)
@@ -180,12 +209,14 @@ def test_scenes_of_a_batch_are_seen_as_alone(dim: int) -> None:
     scenes = [furnished(dim), make_scene(dim), make_scene(dim, terrain=incline(dim))]
     position, fall = places(3 * 50, dim), speeds(3 * 50, dim)
     together = Surfaces.joined([seen(scene) for scene in scenes])
-    found = together.fields(position, torch.arange(3).repeat_interleave(50), RADIUS, fall)
-    out = together.keep_out(position, torch.arange(3).repeat_interleave(50))
+    batch = torch.arange(3).repeat_interleave(50)
+    found = (*together.fields(position, batch, RADIUS), together.contacts(fall, position, batch, **NEAR))
+    out = together.keep_out(position, batch)
     for number, scene in enumerate(scenes):
         rows, own = slice(50 * number, 50 * number + 50), torch.zeros(50, dtype=torch.int64)
-        by_itself = seen(scene).fields(position[rows], own, RADIUS, fall[rows])
-        for all_of_them, alone in zip(found, by_itself, strict=True):
+        by_itself = seen(scene).fields(position[rows], own, RADIUS)
+        thrown = seen(scene).contacts(fall[rows], position[rows], own, **NEAR)
+        for all_of_them, alone in zip(found, (*by_itself, thrown), strict=True):
             torch.testing.assert_close(all_of_them[rows], alone)
         torch.testing.assert_close(out[rows], seen(scene).keep_out(position[rows], own))
 
@@ -211,8 +242,9 @@ def test_derivatives(dim: int) -> None:
     position = places(40, dim).requires_grad_()
     surfaces, batch = seen(furnished(dim)), torch.zeros(40, dtype=torch.int64)
     fall = speeds(40, dim).requires_grad_()
+    assert torch.autograd.gradcheck(lambda place: tuple(surfaces.fields(place, batch, RADIUS)), position)
     assert torch.autograd.gradcheck(
-        lambda *given: tuple(surfaces.fields(given[0], batch, RADIUS, given[1])), (position, fall)
+        lambda speed, place: surfaces.contacts(speed, place, batch, **NEAR), (fall, position)
     )
     assert torch.autograd.gradcheck(lambda place: surfaces.keep_out(place, batch), position)
 
@@ -220,7 +252,7 @@ def test_derivatives(dim: int) -> None:
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_loops_see_what_torch_sees(dim: int, turned: bool) -> None:
-    """In single precision a particle a time; also of scenes that were mirrored, and without what a contact would do."""
+    """In single precision a particle a time; also of scenes that were mirrored, and back by velocities."""
     scenes = [furnished(dim), make_scene(dim), make_scene(dim, terrain=incline(dim))]
     plain = Surfaces.joined([surfaces_of(scene, 0.05) for scene in scenes])
     position, fall = places(3 * 200, dim), speeds(3 * 200, dim)
@@ -232,19 +264,22 @@ def test_loops_see_what_torch_sees(dim: int, turned: bool) -> None:
         plain = plain.turned(symmetry.sign.float(), symmetry.offset.float(), symmetry.order)
         assert (symmetry.sign < 0).any()
     exact = plain.in_precision(torch.float64)
-    for wanted in (fall, None):
-        expected = exact.fields(position, batch, RADIUS, wanted)
-        found = plain.fields(position.float(), batch, RADIUS, None if wanted is None else wanted.float())
-        for name in ("approach", "grip", "ground"):
-            torch.testing.assert_close(getattr(found, name).double(), getattr(expected, name), atol=2e-5, rtol=1e-4)
-        if wanted is not None:
-            assert found.contact is not None and expected.contact is not None
-            torch.testing.assert_close(found.contact.double(), expected.contact, atol=2e-4, rtol=1e-3)
-        else:
-            assert found.contact is None
+    expected, found = exact.fields(position, batch, RADIUS), plain.fields(position.float(), batch, RADIUS)
+    for name in ("approach", "grip", "ground"):
+        torch.testing.assert_close(getattr(found, name).double(), getattr(expected, name), atol=2e-5, rtol=1e-4)
+    above, by_speed = speeds(3 * 200, dim).flip(0), []
+    soon = NEAR | {"ahead": 0.01}
+    for surfaces, dtype in ((plain, torch.float32), (exact, torch.float64)):
+        speed = fall.to(dtype, copy=True).requires_grad_()
+        thrown = surfaces.contacts(speed, position.to(dtype), batch, **soon)
+        (thrown * above.to(dtype)).sum().backward()
+        by_speed.append((thrown.detach().double(), speed.grad.double()))  # type: ignore[union-attr]
+    for loops, torchs in zip(*by_speed, strict=True):
+        torch.testing.assert_close(loops, torchs, atol=5e-4, rtol=2e-3)
+    assert torch.equal(by_speed[0][0].float(), plain.contacts(fall.float(), position.float(), batch, **soon))
     out = plain.keep_out(position.float(), batch)
     torch.testing.assert_close(out.double(), exact.keep_out(position, batch), atol=1e-5, rtol=1e-5)
-    with_gradient = plain.fields(position.float().requires_grad_(), batch, RADIUS, fall.float())
+    with_gradient = plain.fields(position.float().requires_grad_(), batch, RADIUS)
     torch.testing.assert_close(with_gradient.approach, plain.fields(position.float(), batch, RADIUS).approach)
 
 
@@ -271,12 +306,15 @@ def test_mirrored_scenes_are_seen_mirrored() -> None:
     moved = symmetry.turned(position[:, None], static.batch)[:, 0]
     fall = speeds(number * graphs, 3)
     turned_fall = symmetry.turned(fall[:, None], static.batch, vectors=True)[:, 0]
-    before = surfaces.fields(position, static.batch, RADIUS, fall)
-    after = turned.fields(moved, static.batch, RADIUS, turned_fall)
+    before = surfaces.fields(position, static.batch, RADIUS)
+    after = turned.fields(moved, static.batch, RADIUS)
     torch.testing.assert_close(after.ground, before.ground)
-    for name in ("approach", "grip", "contact"):
-        expected = symmetry.turned(getattr(before, name)[:, None], static.batch, vectors=True)[:, 0]
-        torch.testing.assert_close(getattr(after, name), expected)
+    vectors = [(after.approach, before.approach), (after.grip, before.grip)]
+    thrown = surfaces.contacts(fall, position, static.batch, **NEAR)
+    vectors.append((turned.contacts(turned_fall, moved, static.batch, **NEAR), thrown))
+    for found, was in vectors:
+        expected = symmetry.turned(was[:, None], static.batch, vectors=True)[:, 0]
+        torch.testing.assert_close(found, expected)
     out = symmetry.turned(surfaces.keep_out(position, static.batch)[:, None], static.batch)[:, 0]
     torch.testing.assert_close(turned.keep_out(moved, static.batch), out)
     assert not torch.equal(moved, position)
@@ -324,3 +362,32 @@ def test_features_over_raised_ground_are_those_over_a_floor() -> None:
     raised = make_scene(terrain=Terrain(heights, (-0.2, -0.2), 0.05, ROUGH))
     floor, ground = rows(position, make_scene(), surfaces=True), position + torch.tensor([0.0, 0.0, 0.3])
     torch.testing.assert_close(rows(ground, raised, surfaces=True), floor, atol=1e-5, rtol=0)
+
+
+def test_a_tilted_box_is_a_slope() -> None:
+    """What is in a box of tilted gravity accelerates as on a plane under upright gravity; also beside others."""
+    simulator = make_simulator(walls="contacts", output="switched", connectivity_radius=RADIUS, material_features=())
+    angle = np.radians(20.0)
+    back = torch.tensor([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]).float()
+    floor = Plane((0.0, 0.0, 0.0), (float(np.sin(angle)), 0.0, float(np.cos(angle))), GROUND)
+    tilted = dataclasses.replace(make_scene(), walls=dict.fromkeys(FACES[3], GROUND))
+    slope = dataclasses.replace(make_scene(obstacles=(floor,)), lower=(-9.0,) * 3, upper=(9.0,) * 3)
+    place = 0.15 + 0.7 * torch.rand(300, 3, generator=torch.Generator().manual_seed(0))
+    place[:, 2] *= 0.3
+    history = place[:, None] + 0.005 * torch.rand(300, 4, 3, generator=torch.Generator().manual_seed(1))
+    static = dataclasses.replace(make_static(300), surfaces=surfaces_of(slope, 0.05))
+    static = dataclasses.replace(static, lower=torch.full((1, 3), -9.0), upper=torch.full((1, 3), 9.0))
+    gravity = torch.tensor([[9.81 * float(np.sin(angle)), 0.0, -9.81 * float(np.cos(angle))]])
+    leaning = dataclasses.replace(make_static(300), gravity=gravity, surfaces=surfaces_of(tilted, 0.05))
+    with torch.inference_mode():
+        upright = simulator.normalised_acceleration(history @ back.T, static)
+        found = simulator.normalised_acceleration(history, leaning)
+        both = SceneBatch(**{
+            entry.name: torch.cat([getattr(static, entry.name), getattr(leaning, entry.name)])
+            for entry in dataclasses.fields(SceneBatch) if entry.init and entry.name != "surfaces"
+        })  # fmt: skip
+        surfaces = Surfaces.joined([surfaces_of(slope, 0.05), surfaces_of(tilted, 0.05)])
+        both = dataclasses.replace(both, batch=torch.arange(2).repeat_interleave(300), surfaces=surfaces)
+        together = simulator.normalised_acceleration(torch.cat([history @ back.T, history]), both)
+    torch.testing.assert_close(found @ back.T, upright, atol=2e-4, rtol=1e-3)
+    torch.testing.assert_close(together, torch.cat([upright, found]), atol=2e-4, rtol=1e-3)

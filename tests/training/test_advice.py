@@ -53,6 +53,7 @@ TRAINING: dict[str, Any] = {
         "final_factor": 0.1,
         "weight_decay": 0.0,
         "warmup_steps": 0,
+        "column_weight": 0.0,
         "huber_delta": 0.3,
         "symmetry": True,
         "unroll_steps": 1,

@@ -34,7 +34,12 @@ GROUND = {
         "barrier": 1.0,
     }
 }
-SURFACES = ("model.walls=contacts", "model.input_sequence_length=2", "training.rollout.num_steps=3")
+SURFACES = (
+    "model.walls=contacts",
+    "model.output=switched",
+    "model.input_sequence_length=2",
+    "training.rollout.num_steps=3",
+)
 
 
 def config(root: Path, output: Path, *overrides: str) -> DictConfig:
@@ -84,21 +89,22 @@ def test_users_run_it_on_ground(trained: Path, ground_root: Path) -> None:
 
 def test_state_has_a_name_for_every_column(trained: Path) -> None:
     simulator = load_checkpoint(trained / "last.ckpt").simulator
-    assert simulator.config.walls == "contacts" and simulator.config.to_dict()["walls"] == "contacts"
-    assert simulator.state_names()[3:12] == ["surfaces"] * 3 + ["friction of surfaces"] * 3 + ["contact"] * 3
+    stored = simulator.config.to_dict()
+    assert (stored["walls"], stored["output"]) == ("contacts", "switched")
+    names = simulator.state_names()
+    assert names[3:9] == ["surfaces"] * 3 + ["friction of surfaces"] * 3
 
 
-def test_weights_from_before_contacts_were_in_the_step_are_refused_with_what_to_do(
+def test_weights_from_before_contacts_were_behind_the_network_are_refused_with_what_to_do(
     trained: Path, tmp_path: Path
 ) -> None:
     content = torch.load(trained / "last.ckpt", weights_only=True)
     last = [name for name in content["state_dict"] if "decoder" in name][-2:]
-    for name in last:
-        content["state_dict"][name] = content["state_dict"][name][:-1]
+    for name in last:  # q of contacts (1 + q) Σ w j
+        weight = content["state_dict"][name]
+        content["state_dict"][name] = torch.cat([weight, weight[:1]])
     torch.save(content, tmp_path / "old.ckpt")
-    with pytest.raises(
-        InputError, match="before contacts had a factor of their own in the output: then train it again"
-    ):
+    with pytest.raises(InputError, match="before contacts came behind the network's forces: then train it again"):
         load_checkpoint(tmp_path / "old.ckpt")
 
 

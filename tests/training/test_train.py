@@ -127,6 +127,7 @@ def test_a_checkpoint_that_cannot_be_resumed(data_root: Path, tmp_path: Path) ->
         ("training.noise_std=abc", "noise_std must be a number"),
         ("+training.noise_sdt=1", "unknown key noise_sdt"),
         ("training.optimisation.huber_delta=-1", "huber_delta"),
+        ("training.optimisation.column_weight=-1", "column_weight"),
         ("model.output=magic", "output must be one of"),
         ("callbacks.last.keep=0", "keep must be a whole number of at least 1"),
         ("trainer.max_time=tomorrow", "not a valid duration"),

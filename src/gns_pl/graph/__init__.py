@@ -3,6 +3,7 @@
 Plain tensors in, plain tensors out; no learned parameter and no file lives here.
 """
 
+from gns_pl.graph.columns import ColumnMeans
 from gns_pl.graph.context import context_bytes
 from gns_pl.graph.features import SceneBatch, edge_features, edge_width, node_features, node_width
 from gns_pl.graph.neighbours import BACKENDS, NUMBA, radius_graph
@@ -15,6 +16,7 @@ from gns_pl.graph.window_random import WindowRandom
 __all__ = [
     "BACKENDS",
     "NUMBA",
+    "ColumnMeans",
     "NeighbourList",
     "SceneBatch",
     "Surfaces",

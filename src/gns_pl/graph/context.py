@@ -156,8 +156,30 @@ def context_fields(
         squeezed or opened.
     """
     number, dim = position.shape
-    boxes = len(grid.lower)
-    own = 0 if boxes == 1 else batch  # of one box its row alone is taken, not N copies of it
+    corner_index, weight, over = nodes_around(position, grid, batch)
+    moments = volume[:, None] * torch.cat([torch.ones_like(velocity[:, :1]), velocity], dim=1)
+    spread = (weight * moments).flatten(0, 1)
+    if grid.room is None or grid.height is None:
+        nodal, corner_index = _sparse_sums(grid, spread, corner_index)
+    else:
+        nodal = _dense_sums(grid.room, grid.height, spread, corner_index)
+    # index_select, as the gradient of plain indexing is slow on a CPU.
+    gathered = nodal.index_select(0, corner_index).view(len(weight), number, dim + 3)
+    values = (gathered * weight).sum(dim=0)
+    empty = over[:, -1] - values[:, -2]
+    return values[:, 0], values[:, 1:-2], empty, values[:, -1]
+
+
+def nodes_around(position: Tensor, grid: ContextGrid, batch: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the nodes around particles [2^D N], their multilinear weights [2^D, N, 1], and places in the box [N, D].
+
+    Args:
+        position: [N, D] [m].
+        grid: of the boxes.
+        batch: box of every particle [N].
+    """
+    dim = position.shape[1]
+    own = 0 if len(grid.lower) == 1 else batch  # of one box its row alone is taken, not N copies of it
     lower, edge, cells = grid.lower[own], grid.edge[own], grid.cells[own]
     place = torch.minimum(((position - lower) / edge).clamp(min=0.0), cells - 1e-3)
     base = torch.minimum(place.floor(), cells - 1)  # of many thousand cells 1e-3 is less than a float32 can tell
@@ -171,18 +193,7 @@ def context_fields(
     for corner in itertools.product((0, 1), repeat=dim):
         weights.append(torch.stack([parts[side][axis] for axis, side in enumerate(corner)]).prod(dim=0))
         corners.append(first + sum(side * step for side, step in zip(corner, stride, strict=True)))
-    corner_index, weight = torch.cat(corners), torch.stack(weights)[:, :, None]
-    moments = volume[:, None] * torch.cat([torch.ones_like(velocity[:, :1]), velocity], dim=1)
-    spread = (weight * moments).flatten(0, 1)
-    if grid.room is None or grid.height is None:
-        nodal, corner_index = _sparse_sums(grid, spread, corner_index)
-    else:
-        nodal = _dense_sums(grid.room, grid.height, spread, corner_index)
-    # index_select, as the gradient of plain indexing is slow on a CPU.
-    gathered = nodal.index_select(0, corner_index).view(len(weight), number, dim + 3)
-    values = (gathered * weight).sum(dim=0)
-    empty = place[:, -1] * edge[..., -1] - values[:, -2]
-    return values[:, 0], values[:, 1:-2], empty, values[:, -1]
+    return torch.cat(corners), torch.stack(weights)[:, :, None], place * edge
 
 
 def _dense_sums(room: Tensor, height: Tensor, spread: Tensor, corner_index: Tensor) -> Tensor:

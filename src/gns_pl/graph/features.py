@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -40,7 +41,9 @@ class SceneBatch:
     gravity: Tensor
     batch: Tensor
     surfaces: Surfaces | None = None
-    _grids: dict[float, ContextGrid] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _grids: dict[tuple[float, int | None], ContextGrid] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def num_graphs(self) -> int:
@@ -51,6 +54,19 @@ class SceneBatch:
     def moved(self) -> Tensor:
         """[N] bool: particles the simulator moves, all but the kinematic ones."""
         return self.particle_type != int(ParticleType.KINEMATIC)
+
+    @functools.cached_property
+    def upright(self) -> Tensor | None:
+        """[B, D, D] rotations that turn gravity to where it is by custom, down the last axis; None if it is there."""
+        if not bool((self.gravity[:, :-1] != 0).any()):
+            return None
+        size = self.gravity.norm(dim=1, keepdim=True)
+        down = torch.zeros_like(self.gravity)
+        down[:, -1] = -1
+        along = torch.where(size > 0, self.gravity / size, down)
+        cosine = (along * down).sum(dim=1)[:, None, None]
+        turn = down[:, :, None] * along[:, None] - along[:, :, None] * down[:, None]
+        return torch.eye(len(down[0])).to(turn) + turn + turn @ turn / (1 + cosine).clamp_min(1e-3)
 
     def to(self, device: torch.device | str) -> SceneBatch:
         """Return the same on another device."""
@@ -76,18 +92,20 @@ class SceneBatch:
         """
         return value if self.num_graphs == 1 else value[self.batch]
 
-    def grid(self, cell: float) -> ContextGrid:
-        """Return the grid of the context, made once.
+    def grid(self, cell: float, *, axes: int | None = None) -> ContextGrid:
+        """Return a grid over the boxes, made once.
 
         Args:
             cell: edge of its cells [m].
+            axes: how many of the axes it has, from the first on; None: all.
         """
+        lower, upper = self.lower[:, :axes], self.upper[:, :axes]
         if torch.compiler.is_exporting():  # the box is an input of the program, so the grid is made in every step
-            return ContextGrid.of(self.lower, self.upper, cell)
-        if cell not in self._grids:
+            return ContextGrid.of(lower, upper, cell)
+        if (cell, axes) not in self._grids:
             with torch.inference_mode(False), torch.no_grad():  # so that a later step may have gradients
-                self._grids[cell] = ContextGrid.of(self.lower, self.upper, cell)
-        return self._grids[cell]
+                self._grids[cell, axes] = ContextGrid.of(lower, upper, cell)
+        return self._grids[cell, axes]
 
 
 def in_precision(history: Tensor, scenes: SceneBatch, dtype: torch.dtype) -> tuple[Tensor, SceneBatch]:
@@ -102,12 +120,10 @@ def node_width(
     num_particle_types: int,
     num_material_features: int,
     context: bool,
-    contacts: bool = False,
 ) -> int:
     """Return F of `node_features`."""
     types = num_particle_types if num_particle_types > 1 else 0
-    walls = (3 if contacts else 2) * dim
-    return (input_sequence_length - 1) * dim + walls + (4 + dim) * int(context) + types + num_material_features
+    return (input_sequence_length - 1) * dim + 2 * dim + (4 + dim) * int(context) + types + num_material_features
 
 
 def node_features(
@@ -122,7 +138,6 @@ def node_features(
     material_scale: Tensor,
     context: bool,
     surfaces: bool = False,
-    contact_dt: float | None = None,
 ) -> Tensor:
     """Return what a particle knows of itself (Sanchez-Gonzalez et al. 2020, section 3).
 
@@ -139,7 +154,6 @@ def node_features(
             height below within `EMPTY` radii and the density of particles, in units of one per cell of the lattice.
         surfaces: in the place of distances to the walls stand `approach` and `grip` of `scenes.surfaces`, and the
             context is that over the ground: heights are less those of the ground below, as if it had been levelled.
-        contact_dt: time of a step [s], where `contact` of `scenes.surfaces` is wanted beside them; else None.
 
     Returns:
         [N, F]: velocities, distances to the lower and upper walls or what is seen of surfaces, context, type, material.
@@ -150,10 +164,7 @@ def node_features(
     if surfaces:
         if scenes.surfaces is None:
             raise InputError("this simulator sees surfaces: make its scenes by static_of(…, config=simulator.config).")
-        falling = None
-        if contact_dt is not None:
-            falling = velocity[:, -1] + contact_dt * scenes.of_particles(scenes.gravity)
-        seen = scenes.surfaces.fields(position, scenes.batch, radius, falling)
+        seen = scenes.surfaces.fields(position, scenes.batch, radius)
         level = position[:, -1] - seen.ground + scenes.of_particles(scenes.lower)[:, -1]
         in_box = node_features(
             velocity,
@@ -167,8 +178,7 @@ def node_features(
             context=context,
         )
         motion, _, rest = in_box.tensor_split(_wall_columns(velocity), dim=1)
-        contact = [] if seen.contact is None else [seen.contact / velocity_scale]
-        return torch.cat([motion, seen.approach, seen.grip, *contact, rest], dim=1)
+        return torch.cat([motion, seen.approach, seen.grip, rest], dim=1)
     kinds = particle_types if len(particle_types) > 1 else ()
     able = compiles(velocity, position, scenes.material, backward=True)
     able = able and compiles(velocity_scale, material_scale, scenes.lower, scenes.upper, scenes.volume)
@@ -210,6 +220,40 @@ def node_features(
     return torch.cat(parts, dim=1)
 
 
+def turned_nodes(node: Tensor, rotation: Tensor | None, velocities: int, context: bool) -> Tensor:
+    """Return features of a simulator that sees surfaces, with their vectors turned [N, F].
+
+    Args:
+        node: features of `node_features` [N, F].
+        rotation: `SceneBatch.upright` of the particles [N or 1, D, D]; None turns nothing.
+        velocities: number of past velocities, H − 1.
+        context: whether there is one.
+    """
+    if rotation is None:
+        return node
+    dim = rotation.shape[-1]
+    begins = [*range(0, (velocities + 2) * dim, dim)]  # velocities, approach, grip
+    if context:
+        begins.append(begins[-1] + dim + 4)  # momentum above
+    node = node.clone()
+    for begin in begins:
+        node[:, begin : begin + dim] = turn(node[:, begin : begin + dim].clone(), rotation)
+    return node
+
+
+def turned_edges(edge: Tensor, rotation: Tensor | None, edge_index: Tensor) -> Tensor:
+    """Return edge features with their displacements turned, arguments as of `turned_nodes` [E, D + 1]."""
+    if rotation is None:
+        return edge
+    of_edges = rotation if len(rotation) == 1 else rotation[edge_index[1]]
+    return torch.cat([turn(edge[:, :-1], of_edges), edge[:, -1:]], dim=1)
+
+
+def turn(vector: Tensor, rotation: Tensor | None) -> Tensor:
+    """Return vectors [N, D] turned by rotations [N or 1, D, D], or as they are."""
+    return vector if rotation is None else (rotation @ vector[..., None])[..., 0]
+
+
 def _wall_columns(velocity: Tensor) -> tuple[int, int]:
     """Return the first column of node features about walls and the one behind; of velocities [N, H − 1, D]."""
     begin = velocity.shape[1] * velocity.shape[2]
@@ -225,12 +269,6 @@ def near_surfaces(node: Tensor, velocity: Tensor) -> Tensor:
     """
     begin, end = _wall_columns(velocity)
     return (node.detach()[:, begin:end] != 0).any(dim=1)
-
-
-def seen_contacts(node: Tensor, velocity: Tensor) -> Tensor:
-    """Return what contacts add to velocities, over their scale [N, D]; arguments as of `near_surfaces`."""
-    _, end = _wall_columns(velocity)
-    return node[:, end : end + velocity.shape[2]]
 
 
 def touched(edge_index: Tensor, contact: Tensor) -> Tensor:

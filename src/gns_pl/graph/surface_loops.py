@@ -112,78 +112,87 @@ def distance_of_ground(
 
 
 @compile_function
-def add_contact(velocity: Any, normal: Any, grip: Any, weight: Any, contact: Any) -> None:
-    """Add what a contact adds to a velocity [D], times a weight, as `surfaces._coulomb` does."""
-    dim, along = len(velocity), np.float32(0)
-    for axis in range(dim):
-        along += velocity[axis] * normal[axis]
-    if along >= 0:
-        return
-    square = np.float32(1e-12)
-    for axis in range(dim):
-        sliding = velocity[axis] - along * normal[axis]
-        square += sliding * sliding
-    friction = grip / max(np.float32(1) - grip, np.float32(1e-3))
-    share = min(friction * -along / np.sqrt(square), np.float32(1))
-    for axis in range(dim):
-        contact[axis] -= weight * (along * normal[axis] + share * (velocity[axis] - along * normal[axis]))
+def surface(
+    s: int, place: Any, b: Any, planes: Any, offset: Any, plane_grip: Any, lower: Any, upper: Any, cuboid_grip: Any,
+    heights: Any, first: Any, shape: Any, corner: Any, cell: Any, ground_grip: Any, work: Any, normal: Any,
+) -> Any:  # fmt: skip
+    """Return distance [m] and grip of a surface, and its height [m] where it is below; fill in its normal.
+
+    Args:
+        s: its number: planes, then cuboids, then the ground.
+        place: [D] [m].
+        b: scene of the particle.
+        planes, offset, plane_grip, lower, upper, cuboid_grip: as in `Surfaces`, `planes` being its `normal`.
+        heights, first, shape, corner, cell, ground_grip: likewise.
+        work: room of `distance_of_ground`.
+        normal: of the surface [D].
+    """
+    top, below = len(place) - 1, np.float32(-np.inf)
+    if s < planes.shape[1]:
+        normal[:] = planes[b, s]
+        distance = distance_of_plane(place, normal, offset[b, s])
+        if normal[top] > FLATTEST:
+            below = place[top] - distance / normal[top]
+        return distance, plane_grip[b, s], below
+    c = s - planes.shape[1]
+    if c < lower.shape[1]:
+        over = place[top] >= upper[b, c, top]
+        for axis in range(top):
+            over = over and lower[b, c, axis] <= place[axis] <= upper[b, c, axis]
+        if over:
+            below = upper[b, c, top]
+        return distance_of_cuboid(place, lower[b, c], upper[b, c], normal), cuboid_grip[b, c], below
+    below, distance = distance_of_ground(place, heights, first[b], shape[b], corner[b], cell[b], work, normal)
+    return distance, ground_grip[b], below
 
 
 @compile_function
 def see(
-    place: Any, batch: Any, falling: Any, radius: Any,
-    planes: Any, offset: Any, plane_grip: Any, lower: Any, upper: Any, cuboid_grip: Any,
-    heights: Any, first: Any, shape: Any, corner: Any, cell: Any, ground_grip: Any,
+    place: Any, batch: Any, radius: Any, planes: Any, offset: Any, plane_grip: Any, lower: Any, upper: Any,
+    cuboid_grip: Any, heights: Any, first: Any, shape: Any, corner: Any, cell: Any, ground_grip: Any,
 ) -> Any:  # fmt: skip
-    """Return `SurfaceFields` of particles: approach, grip and contact [N, 3, D], and the height below [N].
+    """Return `SurfaceFields` of particles: approach and grip [N, 2, D], and the height below [N].
 
     Args:
         place: [N, D] [m].
         batch: scene of every particle [N].
-        falling: velocities without any contact [N, D] [m/s]; [0, D] where no contact is wanted.
         radius: R [m].
-        planes, offset, plane_grip, lower, upper, cuboid_grip: as in `Surfaces`, `planes` being its `normal`.
+        planes, offset, plane_grip, lower, upper, cuboid_grip: as of `surface`.
         heights, first, shape, corner, cell, ground_grip: likewise.
     """
     number, dim = place.shape
-    seen, below = np.zeros((number, 3, dim), np.float32), np.full(number, -np.inf, np.float32)
+    seen, below = np.zeros((number, 2, dim), np.float32), np.full(number, -np.inf, np.float32)
     normal, work = np.zeros(dim, np.float32), np.zeros((4, 3), np.float32)
-    num_planes, num_cuboids, wanted = planes.shape[1], lower.shape[1], len(falling) > 0
     for i in range(number):
-        b = batch[i]
-        for s in range(num_planes + num_cuboids + 1):
-            if s < num_planes:
-                normal[:] = planes[b, s]
-                distance, grip, upward = (
-                    distance_of_plane(place[i], normal, offset[b, s]),
-                    plane_grip[b, s],
-                    normal[dim - 1],
-                )
-                if upward > FLATTEST:
-                    height = place[i, dim - 1] - distance / upward
-                    below[i] = max(below[i], height)
-            elif s < num_planes + num_cuboids:
-                c = s - num_planes
-                distance, grip = distance_of_cuboid(place[i], lower[b, c], upper[b, c], normal), cuboid_grip[b, c]
-                over = place[i, dim - 1] >= upper[b, c, dim - 1]
-                for axis in range(dim - 1):
-                    over = over and lower[b, c, axis] <= place[i, axis] <= upper[b, c, axis]
-                if over:
-                    below[i] = max(below[i], upper[b, c, dim - 1])
-            else:
-                height, distance = distance_of_ground(
-                    place[i], heights, first[b], shape[b], corner[b], cell[b], work, normal
-                )
-                grip = ground_grip[b]
-                below[i] = max(below[i], height)
+        for s in range(planes.shape[1] + lower.shape[1] + 1):
+            distance, grip, height = surface(
+                s, place[i], batch[i], planes, offset, plane_grip, lower, upper, cuboid_grip,
+                heights, first, shape, corner, cell, ground_grip, work, normal,
+            )  # fmt: skip
+            below[i] = max(below[i], height)
             weight = min(max(np.float32(1) - distance / radius, np.float32(0)), np.float32(DEEPEST))
-            if weight > 0:
-                for axis in range(dim):
-                    seen[i, 0, axis] += weight * normal[axis]
-                    seen[i, 1, axis] += weight * grip * normal[axis]
-                if wanted:
-                    add_contact(falling[i], normal, grip, weight, seen[i, 2])
+            for axis in range(dim):
+                seen[i, 0, axis] += weight * normal[axis]
+                seen[i, 1, axis] += weight * grip * normal[axis]
     return seen, below
+
+
+@compile_function
+def normals_of(
+    place: Any, batch: Any, planes: Any, offset: Any, plane_grip: Any, lower: Any, upper: Any,
+    cuboid_grip: Any, heights: Any, first: Any, shape: Any, corner: Any, cell: Any, ground_grip: Any,
+) -> Any:  # fmt: skip
+    """Return the normals of all surfaces at places [N, S, D]; arguments as of `see`."""
+    number, dim = place.shape
+    surfaces = planes.shape[1] + lower.shape[1] + 1
+    normal, work = np.zeros((number, surfaces, dim), np.float32), np.zeros((4, 3), np.float32)
+    for i in range(number):
+        for s in range(surfaces):
+            surface(
+                s, place[i], batch[i], planes, offset, plane_grip, lower, upper, cuboid_grip,
+                heights, first, shape, corner, cell, ground_grip, work, normal[i, s],
+            )  # fmt: skip
+    return normal
 
 
 @compile_function

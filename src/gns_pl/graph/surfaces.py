@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gns_pl.graph.surface_loops import DEEPEST, FLATTEST, push_out, see
+from gns_pl.graph.contact_loops import STRAIGHT, contacts_in_loops
+from gns_pl.graph.surface_loops import DEEPEST, FLATTEST, normals_of, push_out, see
 from gns_pl.machine import compiles
 
 
@@ -26,15 +27,11 @@ class SurfaceFields(NamedTuple):
         approach: Σ w n [N, D], w = 1 − d / R cut at 0, over surfaces with the distance d and the normal n.
         grip: Σ w s n [N, D], s = μ / (1 + μ) of Coulomb friction μ: 0 where all slips, 1 where all sticks.
         ground: height of the highest surface below [N] [m].
-        contact: Σ w j [N, D] [m/s]; j is what a surface adds to the velocity of a single particle that would otherwise
-            reach it, by Coulomb's law: all of the normal part, and of the sliding no more than μ times as much. None
-            where nobody asked.
     """
 
     approach: Tensor
     grip: Tensor
     ground: Tensor
-    contact: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -110,35 +107,69 @@ class Surfaces:
         """Return the surfaces of scenes that are mirrored and turned; arguments as `turn`, of ones that are not yet."""
         return replace(self, turn=(sign, offset, order))
 
-    def fields(self, position: Tensor, batch: Tensor, radius: float, falling: Tensor | None = None) -> SurfaceFields:
+    def fields(self, position: Tensor, batch: Tensor, radius: float) -> SurfaceFields:
         """Return what particles know of the surfaces around them.
 
         Args:
             position: [N, D] [m].
             batch: scene of every particle [N].
             radius: within which surfaces are seen, R [m].
-            falling: velocity that particles would have after a step without any contact [N, D] [m/s]; None where
-                `contact` is not wanted.
         """
-        own, place = self._own(batch), self._back(position, batch)
-        if falling is not None:
-            falling = self._without_turn(falling, batch)
-        if compiles(place, self.normal, *(() if falling is None else (falling,))):
-            return self._seen_in_loops(place, batch, radius, falling)
+        place = self._back(position, batch)
+        if compiles(place, self.normal):
+            seen, below = see(*self._in_loops(place, batch), np.float32(radius), *self._arrays(*_OF_LOOPS))
+            approach, held = (self._there(each, batch) for each in torch.from_numpy(seen).unbind(1))
+            return SurfaceFields(approach, held, torch.from_numpy(below))
+        distance, normal, grip, ground = self._around(place, batch)
+        weight = (1 - distance / radius).clamp(0, DEEPEST)
+        approach = (weight[..., None] * normal).sum(dim=1)
+        held = ((weight * grip)[..., None] * normal).sum(dim=1)
+        return SurfaceFields(self._there(approach, batch), self._there(held, batch), ground)
+
+    def contacts(
+        self, velocity: Tensor, position: Tensor, batch: Tensor, *, radius: float, touching: float, ahead: float
+    ) -> Tensor:
+        """Return what the surfaces add to velocities, Σ c j [N, D] [m/s].
+
+        j is what a surface adds to the velocity of a particle that would otherwise reach it, by Coulomb's law: all of
+        the normal part, and of the sliding no more than μ times as much. c falls from 1 where it touches to 0 at the
+        radius. On curved ground the velocity is turned into the tangent half a step ahead, which presses by v² / r.
+
+        Args:
+            velocity: that particles would have without them [N, D] [m/s]; of how normals change over half a step nothing is derived.
+            position: [N, D] [m].
+            batch: scene of every particle [N].
+            radius: of `fields`, R [m].
+            touching: distance at which a particle touches a surface, half its spacing [m].
+            ahead: half the time of a step [s].
+        """
+        speed, place = self._without_turn(velocity, batch), self._back(position, batch)
+        if compiles(place, self.normal) and compiles(speed, backward=True):
+            numbers = (np.float32(ahead), np.float32(radius), np.float32(touching))
+            rest = (*numbers, *self._arrays(*_OF_LOOPS))
+            return self._there(contacts_in_loops(speed, *self._in_loops(place, batch), rest), batch)
+        distance, normal, grip, _ = self._around(place, batch)
+        soon = normal + self._turned_ahead(place.detach(), ahead * speed.detach(), batch, normal.detach())
+        share = ((radius - distance) / (radius - touching)).clamp(0, 1)
+        return self._there((share[..., None] * _coulomb(speed[:, None], normal, soon, grip)).sum(dim=1), batch)
+
+    def _turned_ahead(self, place: Tensor, way: Tensor, batch: Tensor, normal: Tensor) -> Tensor:
+        """Return by how much normals [N, S, D] change over a way [N, D] [m]."""
+        if compiles(place, self.normal):
+            tables = self._arrays(*_OF_LOOPS)
+            return torch.from_numpy(normals_of(*self._in_loops(place + way, batch), *tables)) - normal
+        return self._around(place + way, batch)[1] - normal
+
+    def _around(self, place: Tensor, batch: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return distances [N, S] [m], normals [N, S, D] and grip [N or 1, S] of all surfaces, and the height below."""
+        own = self._own(batch)
         distances, normals, ground = self._planes(place, own)
         distance, normal, top = self._cuboids(place, own)
         height, up_distance, up = self._ground(place, own)
-        weight = (1 - torch.cat([distances, distance, up_distance[:, None]], dim=1) / radius).clamp(0, DEEPEST)
         grip = torch.cat([self.plane_grip[own], self.cuboid_grip[own], self.ground_grip[own][..., None]], dim=-1)
         normals = torch.cat([normals.expand(len(place), -1, -1), normal, up[:, None]], dim=1)
-        approach = (weight[..., None] * normals).sum(dim=1)
-        held = ((weight * grip)[..., None] * normals).sum(dim=1)
-        ground = torch.stack([ground, top, height]).amax(dim=0)
-        contact = None
-        if falling is not None:
-            impulse = _coulomb(falling[:, None], normals, grip)
-            contact = self._there((weight[..., None] * impulse).sum(dim=1), batch)
-        return SurfaceFields(self._there(approach, batch), self._there(held, batch), ground, contact)
+        distances = torch.cat([distances, distance, up_distance[:, None]], dim=1)
+        return distances, normals, grip, torch.stack([ground, top, height]).amax(dim=0)
 
     def keep_out(self, position: Tensor, batch: Tensor) -> Tensor:
         """Return positions of which those inside something rigid are put onto its surface [N, D] [m].
@@ -165,17 +196,9 @@ class Surfaces:
             return (sign * place + offset).gather(-1, order.expand_as(place))
         return place
 
-    def _seen_in_loops(self, place: Tensor, batch: Tensor, radius: float, falling: Tensor | None) -> SurfaceFields:
-        """Return `fields`, of what is as before it was turned."""
-        speed = place[:0] if falling is None else falling
-        tables = self._arrays(
-            "normal", "offset", "plane_grip", "lower", "upper", "cuboid_grip", *_OF_GROUND, "ground_grip"
-        )
-        numbers = (place.contiguous().numpy(), batch.numpy(), speed.contiguous().numpy(), np.float32(radius))
-        seen, below = see(*numbers, *tables)
-        approach, held, contact = torch.from_numpy(seen).unbind(1)
-        thrown = None if falling is None else self._there(contact, batch)
-        return SurfaceFields(self._there(approach, batch), self._there(held, batch), torch.from_numpy(below), thrown)
+    @staticmethod
+    def _in_loops(place: Tensor, batch: Tensor) -> tuple[Any, Any]:
+        return place.contiguous().numpy(), batch.numpy()
 
     def _arrays(self, *names: str) -> list[Any]:
         return [getattr(self, name).contiguous().numpy() for name in names]
@@ -264,6 +287,7 @@ class Surfaces:
 _TENSORS = tuple(entry.name for entry in fields(Surfaces) if entry.name not in ("inner", "turn"))
 
 _OF_GROUND = ("heights", "first", "shape", "corner", "cell")
+_OF_LOOPS = ("normal", "offset", "plane_grip", "lower", "upper", "cuboid_grip", *_OF_GROUND, "ground_grip")
 
 FAR = 1e6
 """Distance of the surfaces that scenes of fewer ones are filled up with [m]."""
@@ -272,17 +296,20 @@ _PADDED = {"normal": 0.0, "offset": -FAR, "plane_grip": 0.0, "lower": FAR, "uppe
 """What has one entry for every plane or cuboid → the value of one that is out of reach."""
 
 
-def _coulomb(velocity: Tensor, normal: Tensor, grip: Tensor) -> Tensor:
-    """Return what contacts add to velocities, u → u − u_n n − min(1, μ |u_n| / |u_t|) u_t where u_n < 0 [N, S, D].
+def _coulomb(velocity: Tensor, normal: Tensor, soon: Tensor, grip: Tensor) -> Tensor:
+    """Return what contacts add to velocities [N, S, D]: p n − min(1, μ p / |w|) w, w = u + p n, if u would go in.
+
+    The pressure p along n turns u into the tangent half a step ahead, so that a bend costs no speed but by friction.
 
     Args:
         velocity: u [N, 1, D] [m/s].
         normal: n, out of the surfaces [N, S, D].
+        soon: those half a step ahead [N, S, D].
         grip: s = μ / (1 + μ) of them [N or 1, S].
     """
-    along = (velocity * normal).sum(dim=2, keepdim=True)
-    press = (-along).clamp_min(0)
-    sliding = velocity - along * normal
+    into = (velocity * soon).sum(dim=2, keepdim=True)
+    press = (-into).clamp_min(0) / (normal * soon).sum(dim=2, keepdim=True).clamp_min(STRAIGHT)
+    sliding = velocity + press * normal
     speed = (sliding.square().sum(dim=2, keepdim=True) + 1e-12).sqrt()
     friction = (grip / (1 - grip).clamp_min(1e-3))[..., None]
     return press * normal - (friction * press / speed).clamp_max(1) * sliding

@@ -133,7 +133,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     except RuntimeError as error:
         reason = "the file is damaged"
         if entry["config"].get("walls") == "contacts":
-            reason += ", or from before contacts had a factor of their own in the output: then train it again"
+            reason += ", or from before contacts came behind the network's forces: then train it again"
         raise InputError(f"{path}: its weights do not fit its own configuration; {reason}.") from error
     distribution = TrainingDistribution.from_dict(entry["seen"]) if "seen" in entry else None
     return Checkpoint(simulator.eval(), entry["data"], entry["provenance"], distribution)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from gns_pl.errors import InputError
 from gns_pl.nn import DEFAULT_NETWORK
 
-OUTPUTS = ("acceleration", "gated")
+OUTPUTS = ("acceleration", "gated", "switched")
 WALLS = ("box", "surfaces", "contacts")
 
 
@@ -31,12 +31,13 @@ class SimulatorConfig:
         num_message_passing_steps: number of interaction networks.
         output: "acceleration": the network gives (a − g) / scale. "gated": it gives a gate s in (0, 1) per axis and an
             increment u, with v' = s (v + g Δt) + u; rest (s = 0, u = 0) and free fall (s = 1, u = 0) are then easy.
+            "switched": the same with a gate in [0, 1] that gets to its ends, so that what slides far is not slowed down
+            a little in every step, and heaps do not creep.
         context: node features beyond the radius: overburden, solid fraction, floor (`graph.context`).
         neighbours: backend of `radius_graph`.
         walls: what is known of walls. "box": distances to the faces of the box, of one condition; "surfaces": distance,
             normal and friction of faces, obstacles and terrain within the radius (`graph.surfaces`); "contacts": these,
-            and what each of them would do to a single particle that touches it, by Coulomb's law; 1 + q times that is
-            in the step, and the network gives q besides.
+            and Coulomb's law of each of them, behind the forces that the network gives (`Surfaces.contacts`).
         network: from features to the output: a registered name, "module.Class", or a mapping of "_target_" and options
             (`nn.network`).
 

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from gns_pl.errors import InputError
 from gns_pl.graph import SceneBatch, edge_features, edge_width, node_features, node_width, radius_graph, surroundings
-from gns_pl.graph.features import in_precision, near_surfaces, seen_contacts, touched
+from gns_pl.graph.features import in_precision, near_surfaces, touched, turn, turned_edges, turned_nodes
 from gns_pl.machine import compiles
 from gns_pl.models.config import SimulatorConfig
 from gns_pl.models.step_loops import gated_in_contact, integrated
@@ -61,7 +61,7 @@ class Simulator(nn.Module):
             config.network,
             node_width=self.node_width(),
             edge_width=edge_width(config.dim),
-            output_width=config.dim * (2 if config.output == "gated" else 1) + int(config.walls == "contacts"),
+            output_width=config.dim * (1 if config.output == "acceleration" else 2),
             latent_size=config.latent_size,
             num_mlp_layers=config.num_mlp_layers,
             num_message_passing_steps=config.num_message_passing_steps,
@@ -86,7 +86,6 @@ class Simulator(nn.Module):
             num_particle_types=len(config.particle_types),
             num_material_features=len(config.material_features),
             context=config.context,
-            contacts=config.walls == "contacts",
         )
 
     def fit_statistics(self, moments: Mapping[str, Any], *, gravity: float, noise_std: float, material: Tensor) -> None:
@@ -159,8 +158,8 @@ class Simulator(nn.Module):
             material_scale=self.material_scale,
             context=config.context,
             surfaces=config.sees_surfaces,
-            contact_dt=config.dt if config.walls == "contacts" else None,
         )
+        node = turned_nodes(node, self._upright(scenes), config.input_sequence_length - 1, config.context)
         return node, edge_index
 
     def state(self, history: Tensor, scenes: SceneBatch) -> Tensor:
@@ -187,7 +186,6 @@ class Simulator(nn.Module):
         config = self.config
         names = ["velocity"] * (config.dim * (config.input_sequence_length - 1))
         walls = ["surfaces", "friction of surfaces"] if config.sees_surfaces else ["walls", "walls"]
-        walls += ["contact"] if config.walls == "contacts" else []
         names += [name for name in walls for _ in range(config.dim)]
         if config.context:
             names += ["floor", "overburden", "empty height", "density", *["momentum above"] * config.dim]
@@ -211,25 +209,36 @@ class Simulator(nn.Module):
         """
         config, position = self.config, history[:, -1]
         node, edge_index = self.features(history, scenes, search)
+        rotation = self._upright(scenes)
         edge = edge_features(position, edge_index, config.connectivity_radius)
+        edge = turned_edges(edge, rotation, edge_index)
         output: Tensor = (network or self.network)(node, edge, edge_index)
-        in_box, share = not config.sees_surfaces, None
-        if config.walls == "contacts":
-            output, share = output[:, :-1], output[:, -1:]
-        if in_box and compiles(history, output, backward=True) and self._compiles(scenes):
+        in_box, velocity = not config.sees_surfaces, (position - history[:, -2]) / config.dt
+        in_loops = in_box and config.output != "switched"
+        if in_loops and compiles(history, output, backward=True) and self._compiles(scenes):
             scales, boxes = self._numbers(), self._boxes(scenes)
             arrays = (edge_index.numpy(), *boxes, np.float32(config.connectivity_radius))
             return gated_in_contact(output, history, config.output == "gated", *scales, *arrays)
-        if config.output == "gated":
+        if config.output != "acceleration":
             increment, gate = output.chunk(2, dim=1)
-            velocity = history.diff(dim=1) / config.dt
-            falling = velocity[:, -1] / config.dt + scenes.of_particles(scenes.gravity)  # (v + g Δt) / Δt
-            output = increment - torch.sigmoid(-gate) * falling / self.acceleration_scale
-        if share is not None:
-            alone = seen_contacts(node, history[:, 1:]) * self.velocity_scale / config.dt
-            output = output + (1 + share) * alone / self.acceleration_scale
+            held = torch.sigmoid(-gate) if config.output == "gated" else torch.nn.functional.hardsigmoid(-gate)
+            falling = velocity / config.dt + scenes.of_particles(scenes.gravity)  # (v + g Δt) / Δt
+            falling = turn(falling, rotation)
+            output = increment - held * falling / self.acceleration_scale
         contact = self._at_wall(position, scenes) if in_box else near_surfaces(node, history[:, 1:])
-        return torch.where(touched(edge_index, contact)[:, None], output, 0.0)
+        output = turn(output, None if rotation is None else rotation.mT)
+        output = torch.where(touched(edge_index, contact)[:, None], output, 0.0)
+        if config.walls != "contacts" or scenes.surfaces is None:
+            return output
+        free = velocity + config.dt * (output * self.acceleration_scale + scenes.of_particles(scenes.gravity))
+        sizes = {"radius": config.connectivity_radius, "touching": config.spacing / 2, "ahead": config.dt / 2}
+        contacts = scenes.surfaces.contacts(free, position, scenes.batch, **sizes)
+        return output + contacts / (config.dt * self.acceleration_scale)
+
+    def _upright(self, scenes: SceneBatch) -> Tensor | None:
+        """Return how its vectors are turned [N or 1, D, D], so that a tilted box is a slope; None: they are not."""
+        upright = scenes.upright if self.config.walls == "contacts" else None
+        return None if upright is None else scenes.of_particles(upright)
 
     def _at_wall(self, position: Tensor, scenes: SceneBatch) -> Tensor:
         """Return which particles have a wall within the connectivity radius [N] bool."""

@@ -25,6 +25,7 @@ class Optimisation:
         final_factor: share of it that is left at the end.
         weight_decay: of the optimiser.
         warmup_steps: linear rise of the learning rate.
+        column_weight: of the squared errors of means over columns (`graph.ColumnMeans`), beside each particle's own.
         huber_delta: of the loss, in units of the acceleration scale; None for the mean squared error.
         symmetry: mirror and exchange the horizontal axes at random.
         unroll_steps: steps in a row that the loss follows, late in training.
@@ -40,6 +41,7 @@ class Optimisation:
     final_factor: float
     weight_decay: float
     warmup_steps: int
+    column_weight: float
     huber_delta: float | None
     symmetry: bool
     unroll_steps: int
@@ -47,7 +49,7 @@ class Optimisation:
 
     def __post_init__(self) -> None:
         _check("training.optimisation", self, num_steps=1, warmup_steps=0, unroll_steps=1)
-        _check("training.optimisation", self, unroll_from=0.0)
+        _check("training.optimisation", self, unroll_from=0.0, column_weight=0.0)
         _check("training.optimisation", self, learning_rate=0.0, final_factor=0.0, weight_decay=0.0)
         if self.optimiser not in OPTIMISERS:
             raise InputError(

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 from torch_geometric.data import Data
 
-from gns_pl.graph import SceneBatch, Surfaces, TrainingDistribution, WindowRandom
+from gns_pl.graph import ColumnMeans, SceneBatch, Surfaces, TrainingDistribution, WindowRandom
 from gns_pl.metrics.summary import rollout_errors
 from gns_pl.models.checkpoint import Checkpoint, checkpoint_entry
 from gns_pl.models.registry import build_simulator
@@ -143,6 +143,9 @@ class SimulatorModule(LearningModule):
         unbiased estimate of the loss of the whole set, in which every particle counts alike (a ratio of two sums of a
         random batch would not be), and it is additive: the mean of the gradients of several processes with equally many
         windows each is the gradient of the joined batch, whatever the windows' sizes.
+
+        What particles next to each other have in common moves a flow, and drowns in what each has alone: where a weight
+        is given to columns, the square of their mean errors is added, each as often as it has particles.
         """
         scenes = static_of_batch(batch)
         # A window's noise depends on the seed and its number alone: resumed or spread over processes, it is the same.
@@ -157,12 +160,17 @@ class SimulatorModule(LearningModule):
         moved, delta = scenes.moved, self.optimisation["huber_delta"]
         parts = future.shape[2] * batch.num_graphs * self.particles_per_window
 
+        share = self.optimisation["column_weight"]
+        over_columns = ColumnMeans(history[:, -1], scenes, self.simulator.config.connectivity_radius) if share else None
+
         def difference(predicted: Tensor, target: Tensor) -> Tensor:
             predicted, target = predicted[moved], target[moved]
             if delta is None:
                 total = mse_loss(predicted, target, reduction="sum")
             else:
                 total = smooth_l1_loss(predicted, target, beta=delta, reduction="sum")
+            if over_columns is not None:
+                total = total + share * over_columns.square(predicted - target)
             return cast(Tensor, total / parts)
 
         return unrolled_loss(
