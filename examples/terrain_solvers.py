@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 DOCS = Path(__file__).parents[1] / "docs"
 TABLE, FIGURE = "terrain_solvers.csv", "terrain_solvers.png"
-SOLVERS = ("shallow-k0", "shallow", "mpm-retuned-5", "mpm")
+SOLVERS = ("shallow-k0", "shallow", "ground", "mpm-retuned-5", "mpm")
 GROUND = 25.0  # cells of the example's ground [m]
 COLOURS = ("#000000", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
 
