@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gns_pl.graph.contact_loops import STRAIGHT, contacts_in_loops
+from gns_pl.graph.contacts import contacts_in_loops, coulomb
 from gns_pl.graph.surface_loops import DEEPEST, FLATTEST, normals_of, push_out, see
 from gns_pl.machine import compiles
 
@@ -136,7 +136,7 @@ class Surfaces:
         radius. On curved ground the velocity is turned into the tangent half a step ahead, which presses by v² / r.
 
         Args:
-            velocity: that particles would have without them [N, D] [m/s]; of how normals change over half a step nothing is derived.
+            velocity: that particles would have without them [N, D] [m/s]; the way ahead has no derivative.
             position: [N, D] [m].
             batch: scene of every particle [N].
             radius: of `fields`, R [m].
@@ -151,7 +151,7 @@ class Surfaces:
         distance, normal, grip, _ = self._around(place, batch)
         soon = normal + self._turned_ahead(place.detach(), ahead * speed.detach(), batch, normal.detach())
         share = ((radius - distance) / (radius - touching)).clamp(0, 1)
-        return self._there((share[..., None] * _coulomb(speed[:, None], normal, soon, grip)).sum(dim=1), batch)
+        return self._there((share[..., None] * coulomb(speed[:, None], normal, soon, grip)).sum(dim=1), batch)
 
     def _turned_ahead(self, place: Tensor, way: Tensor, batch: Tensor, normal: Tensor) -> Tensor:
         """Return by how much normals [N, S, D] change over a way [N, D] [m]."""
@@ -294,25 +294,6 @@ FAR = 1e6
 
 _PADDED = {"normal": 0.0, "offset": -FAR, "plane_grip": 0.0, "lower": FAR, "upper": 2 * FAR, "cuboid_grip": 0.0}
 """What has one entry for every plane or cuboid → the value of one that is out of reach."""
-
-
-def _coulomb(velocity: Tensor, normal: Tensor, soon: Tensor, grip: Tensor) -> Tensor:
-    """Return what contacts add to velocities [N, S, D]: p n − min(1, μ p / |w|) w, w = u + p n, if u would go in.
-
-    The pressure p along n turns u into the tangent half a step ahead, so that a bend costs no speed but by friction.
-
-    Args:
-        velocity: u [N, 1, D] [m/s].
-        normal: n, out of the surfaces [N, S, D].
-        soon: those half a step ahead [N, S, D].
-        grip: s = μ / (1 + μ) of them [N or 1, S].
-    """
-    into = (velocity * soon).sum(dim=2, keepdim=True)
-    press = (-into).clamp_min(0) / (normal * soon).sum(dim=2, keepdim=True).clamp_min(STRAIGHT)
-    sliding = velocity + press * normal
-    speed = (sliding.square().sum(dim=2, keepdim=True) + 1e-12).sqrt()
-    friction = (grip / (1 - grip).clamp_min(1e-3))[..., None]
-    return press * normal - (friction * press / speed).clamp_max(1) * sliding
 
 
 def _padded(tensor: Tensor, number: int, value: float) -> Tensor:

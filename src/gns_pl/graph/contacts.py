@@ -1,4 +1,4 @@
-"""Contacts on a CPU, there and back by velocities: what `Surfaces.contacts` says, a particle a time."""
+"""Coulomb's law of particles at surfaces: in torch, and on a CPU in compiled loops, there and back by velocities."""
 
 from __future__ import annotations
 
@@ -14,6 +14,25 @@ from gns_pl.machine import compile_function
 
 STRAIGHT = 0.5
 """A surface that bends by more than 60° within half a step counts as one that bends so much."""
+
+
+def coulomb(velocity: Tensor, normal: Tensor, soon: Tensor, grip: Tensor) -> Tensor:
+    """Return what contacts add to velocities [N, S, D]: p n − min(1, μ p / |w|) w, w = u + p n, if u would go in.
+
+    The pressure p along n turns u into the tangent half a step ahead, so that a bend costs no speed but by friction.
+
+    Args:
+        velocity: u [N, 1, D] [m/s].
+        normal: n, out of the surfaces [N, S, D].
+        soon: those half a step ahead [N, S, D].
+        grip: s = μ / (1 + μ) of them [N or 1, S].
+    """
+    into = (velocity * soon).sum(dim=2, keepdim=True)
+    press = (-into).clamp_min(0) / (normal * soon).sum(dim=2, keepdim=True).clamp_min(STRAIGHT)
+    sliding = velocity + press * normal
+    speed = (sliding.square().sum(dim=2, keepdim=True) + 1e-12).sqrt()
+    friction = (grip / (1 - grip).clamp_min(1e-3))[..., None]
+    return press * normal - (friction * press / speed).clamp_max(1) * sliding
 
 
 def contacts_in_loops(velocity: Tensor, place: Any, batch: Any, rest: tuple[Any, ...]) -> Tensor:
@@ -45,7 +64,7 @@ def pressure(velocity: Any, normal: Any, soon: Any, sliding: Any) -> Any:
 
 @compile_function
 def add_contact(velocity: Any, normal: Any, soon: Any, grip: Any, weight: Any, sliding: Any, contact: Any) -> None:
-    """Add what a contact adds to a velocity [D], times a weight, as `surfaces._coulomb` does; `sliding` is room [D]."""
+    """Add what a contact adds to a velocity [D], times a weight, as `coulomb` does; `sliding` is room [D]."""
     press, _, speed = pressure(velocity, normal, soon, sliding)
     if press <= 0:
         return
