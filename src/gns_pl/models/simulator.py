@@ -213,12 +213,13 @@ class Simulator(nn.Module):
         edge = edge_features(position, edge_index, config.connectivity_radius)
         edge = turned_edges(edge, rotation, edge_index)
         output: Tensor = (network or self.network)(node, edge, edge_index)
-        in_box, velocity = not config.sees_surfaces, (position - history[:, -2]) / config.dt
+        in_box = not config.sees_surfaces
         in_loops = in_box and config.output != "switched"
         if in_loops and compiles(history, output, backward=True) and self._compiles(scenes):
             scales, boxes = self._numbers(), self._boxes(scenes)
             arrays = (edge_index.numpy(), *boxes, np.float32(config.connectivity_radius))
             return gated_in_contact(output, history, config.output == "gated", *scales, *arrays)
+        velocity = (position - history[:, -2]) / config.dt
         if config.output != "acceleration":
             increment, gate = output.chunk(2, dim=1)
             held = torch.sigmoid(-gate) if config.output == "gated" else torch.nn.functional.hardsigmoid(-gate)
