@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from PIL import Image
 
 from gns_pl.errors import InputError
+from gns_pl.io.tracking import started, unless_disabled
 from gns_pl.training import loggers
 from gns_pl.training.loggers import TensorBoard, WandbRun, make_loggers
 from tests.training.conftest import CONF
@@ -61,6 +63,30 @@ def test_a_run_of_wandb_starts_without_a_warning(
     assert tuple(started.tags) == ("small",)
     captured = capfd.readouterr()
     assert "anonymous" not in captured.err + captured.out
+
+
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_runs_are_written_where_they_are_asked_for_from_any_working_directory(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """W&B's own process stays in the directory in which the first run was started: the second shows what that costs."""
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.chdir(tmp_path)
+    log = unless_disabled(log_nothing)
+    (folder,) = log(Path("out"))
+    run = make_loggers(group(Path("run")))[1]
+    assert run.experiment
+    loggers.close_loggers([run])
+    deadline = time.monotonic() + 20
+    while len(found := list(tmp_path.glob("*/wandb/offline-run-*/run-*.wandb"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert sorted(path.relative_to(tmp_path).parts[0] for path in found) == ["out", "run"]
+    assert folder.parts[0] == "out" and list(folder.glob("run-*.wandb"))
+
+
+def log_nothing(out: Path) -> Path:
+    with started("nothing", {}, out=out, offline=True, project="sand") as run:
+        return Path(run.dir).parent
 
 
 @pytest.mark.parametrize(("override", "kinds"), [("logger=csv", [CSVLogger]), ("logger=none", []), ("~logger", [])])

@@ -41,8 +41,9 @@ def wandb_mode(offline: bool) -> Mode:
 def unless_disabled(log: Callable[P, Path]) -> Callable[P, list[Path]]:
     """Return a function that logs and gives the run's folder in a list.
 
-    The list is empty where W&B is switched off, and where its own files cannot be written: results are on disk by then,
-    and no log is worth losing the command that made them.
+    The folder is told relative to the working directory where it lies below it. The list is empty where W&B is switched
+    off, and where its own files cannot be written: results are on disk by then, and no log is worth losing the command
+    that made them.
     """
 
     @functools.wraps(log)
@@ -50,7 +51,8 @@ def unless_disabled(log: Callable[P, Path]) -> Callable[P, list[Path]]:
         if wandb_mode(True) == "disabled":
             return []
         try:
-            return [log(*args, **kwargs)]
+            folder, here = log(*args, **kwargs), Path.cwd()
+            return [folder.relative_to(here) if folder.is_relative_to(here) else folder]
         except OSError as error:
             print(f"W&B could not write its files ({error}); the results are on disk without.", file=sys.stderr)
             return []
@@ -83,7 +85,7 @@ def started(
         run = wandb.init(
             project=project,
             job_type=job_type,
-            dir=str(out),
+            dir=str(out.absolute()),  # W&B's own process stays where the first run of this one was started
             mode=mode,
             config=dict(config),
             settings=wandb.Settings(silent=True, console="off"),

@@ -19,12 +19,14 @@ class WandbRun(WandbLogger):
     """Lightning's logger for W&B, for every start in one process.
 
     Without the setting `anonymous`, which W&B has given up and warns of. Lightning asks for a run on this disk by
-    WANDB_MODE alone, which W&B reads once in a process.
+    WANDB_MODE alone, which W&B reads once in a process. W&B's own process writes the run, and stays in the working
+    directory of the first start: it is told where to, whole.
     """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self._wandb_init.pop("anonymous", None)
+        self._wandb_init["dir"] = str(Path(self._wandb_init["dir"]).absolute())
         if self._offline:
             self._wandb_init["mode"] = "offline"
 
