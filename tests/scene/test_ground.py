@@ -140,6 +140,14 @@ BOX = {"lower": [600000.0, 5100000.0, 380.0], "upper": [600320.0, 5100200.0, 600
 WALL = {"condition": "friction", "friction": 0.3}
 
 
+BOW_TIE = [[600060, 5100060], [600080, 5100080], [600080, 5100060], [600060, 5100080]]
+LINE = [[600060, 5100060], [600070, 5100070], [600080, 5100080]]
+
+
+def square(x: int) -> list[list[int]]:
+    return [[600000 + x, 5100060], [600020 + x, 5100060], [600020 + x, 5100080], [600000 + x, 5100080]]
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -157,6 +165,14 @@ WALL = {"condition": "friction", "friction": 0.3}
         ({"bodies": [{"outline": "hill.asc", "thickness": 1.0}]}, "is not GeoJSON"),
         ({"bodies": [{"outline": [[[7.1, 45.2], [7.2, 45.2], [7.2, 45.3]]], "thickness": 1}]}, "one system of coord"),
         ({"bodies": [{"outline": [[[600060, 5100080], [600080, 5100080]]], "thickness": 1}]}, "needs three corners"),
+        (
+            {"bodies": [{"outline": [BOW_TIE], "thickness": 1}]},
+            "body 0: its outline crosses itself, or its",
+        ),
+        ({"bodies": [{"outline": [square(80), square(90)], "thickness": 1}]}, "or its rings overlap"),
+        ({"bodies": [{"outline": [square(80), square(80)], "thickness": 1}]}, "or its rings overlap"),
+        ({"bodies": [{"outline": [[square(80)[0], square(80)[2], square(80)[0]]], "thickness": 1}]}, "three corners"),
+        ({"bodies": [{"outline": [LINE], "thickness": 1}]}, "or nothing is inside"),
         ({"bodies": [{"outline": "hill_release.geojson", "thickness": -1}]}, "thickness must be a finite number above"),
         ({"bodies": [{"thickness": 2.0}]}, "one thickness needs an outline"),
         (

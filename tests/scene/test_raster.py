@@ -66,6 +66,35 @@ def test_a_grid_in_degrees_is_refused(grid: Path) -> None:
         read_raster(grid)
 
 
+FEET = 'PROJCS["NC",GEOGCS["NAD83",UNIT["degree",0.0174532925199433]],UNIT["US survey foot",0.304800609601219]]'
+HEIGHTS_IN_FEET = 'COMPD_CS["both",PROJCS["UTM",UNIT["metre",1]],VERT_CS["NAVD88",UNIT["foot",0.3048]]]'
+
+
+@pytest.mark.parametrize(
+    ("system", "message"),
+    [
+        (FEET, r"its unit is US survey foot \(0\.3048006 m\), of places or heights; reproject it"),
+        (HEIGHTS_IN_FEET, r"its unit is foot \(0\.3048 m\)"),
+        ('PROJCS["WGS_1984_Web_Mercator_Auxiliary_Sphere",UNIT["Meter",1.0]]', "stretches lengths by 1 / cos"),
+        ('COMPD_CS["both",GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]],VERT_CS["h",UNIT["metre",1]]]', "degrees"),
+    ],
+)
+def test_lengths_that_are_none_in_metres_are_refused(grid: Path, system: str, message: str) -> None:
+    grid.with_suffix(".prj").write_text(system)
+    with pytest.raises(InputError, match=message):
+        read_raster(grid)
+
+
+@pytest.mark.parametrize(("code", "message"), [("2264", "US survey foot"), ("4326", "degrees"), ("3857", "Mercator")])
+def test_a_number_of_epsg_is_looked_up(tmp_path: Path, grid: Path, code: str, message: str) -> None:
+    pytest.importorskip("rasterio")
+    np.save(tmp_path / "hill.npy", VALUES)
+    with pytest.raises(InputError, match=message):
+        read_raster(tmp_path / "hill.npy", corner=(1.0, 2.0), cell=5.0, crs=f"EPSG:{code}")
+    with pytest.raises(InputError, match=message):
+        read_raster(grid, crs=f"EPSG:{code}")
+
+
 def test_an_array_is_told_its_place(tmp_path: Path) -> None:
     path = tmp_path / "hill.npy"
     np.save(path, VALUES.astype(np.float32))
@@ -100,6 +129,10 @@ def test_a_geotiff_is_the_grid_it_was_written_from(tmp_path: Path, upwards: bool
     with rasterio.open(path, "w", **settings, crs="EPSG:32632", transform=place) as file:
         file.write(rows if upwards else rows[::-1], 1)
     assert read_raster(path) == Raster(VALUES, (600005.5, 5100005.0), 10.0, "EPSG:32632")
+    with rasterio.open(path, "w", **settings | {"dtype": "int16"}, crs="EPSG:32632", transform=place) as file:
+        file.scales, file.offsets = (0.5,), (400.0,)
+        file.write((rows if upwards else rows[::-1]).astype(np.int16), 1)
+    assert np.array_equal(read_raster(path).values, 400 + np.trunc(VALUES) / 2, equal_nan=True)
     with rasterio.open(path, "w", **settings, crs="EPSG:4326", transform=place) as file:
         file.write(rows, 1)
     with pytest.raises(InputError, match="degrees; reproject"):

@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,12 @@ from gns_pl.errors import InputError
 from gns_pl.scene.arrays import encoded_array
 from gns_pl.scene.boundaries import Obstacle, Plane, Wall, signed_distance
 from gns_pl.scene.checks import checked_number, checked_numbers
+from gns_pl.scene.outlines import check_outline
 from gns_pl.scene.raster import described
 from gns_pl.scene.terrain import Terrain
+
+if TYPE_CHECKING:
+    from gns_pl.scene.release import Release
 
 AXES = {2: "xz", 3: "xyz"}
 """Names of the axes by dimension; the last one is vertical."""
@@ -240,10 +244,11 @@ class Scene:
         for index, obstacle in enumerate(self.obstacles):
             if (signed_distance(obstacle, body.corners())[0] <= 0).all():  # obstacles are convex
                 raise InputError(f"{owner}: it lies entirely inside obstacle {index}; move one of them.")
-        if self.terrain is None:
-            if body.needs_terrain:
-                raise InputError(f"{owner}: a release lies on a terrain, and the scene has none; give one, or a body.")
-        else:
+        if body.needs_terrain and self.terrain is None:
+            raise InputError(f"{owner}: a release lies on a terrain, and the scene has none; give one, or a body.")
+        if body.needs_terrain:
+            check_outline(owner, cast("Release", body))
+        if self.terrain is not None:
             shares = (np.indices((33,) * (self.dim - 1)).reshape(self.dim - 1, -1).T + 0.5) / 33
             ground = self.terrain.height(np.array(body.position[:-1]) + shares * body.size[:-1])
             if (ground >= body.upper[-1]).all():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,6 +151,7 @@ def read_raster(
             raise InputError(f"{path}: it knows its place itself; corner and cell are for .npy files.")
         raster = readers[ending](path)
         raster = Raster(raster.values, raster.corner, raster.cell, raster.crs or crs or "")
+    _check_metres(path, raster.crs)
     if np.isnan(raster.values).all():
         raise InputError(f"{path}: all its cells are missing.")
     return raster
@@ -192,8 +194,6 @@ def _read_ascii(path: Path) -> Raster:
     ]
     system = path.with_suffix(".prj")
     crs = system.read_text(encoding="utf-8", errors="replace").strip() if system.is_file() else ""
-    if crs.upper().startswith(("GEOGCS", "GEOGCRS")):
-        raise InputError(f"{path}: its coordinates are degrees; reproject it to a system in metres.")
     return Raster(values.reshape(rows, columns)[::-1].T, tuple(corner), cell, crs)
 
 
@@ -206,14 +206,45 @@ def _read_geotiff(path: Path) -> Raster:
     try:
         with rasterio.open(path) as source:
             values = source.read(1, masked=True).astype(np.float64).filled(np.nan)
+            values = values * source.scales[0] + source.offsets[0]  # of heights that are kept as whole numbers
             place, system = source.transform, source.crs
     except rasterio.errors.RasterioError as error:
         raise InputError(f"{path}: is not a GeoTIFF that rasterio reads ({error}).") from None
-    if system is not None and system.is_geographic:
-        raise InputError(f"{path}: its coordinates are degrees; reproject it to a system in metres.")
     if place.b or place.d or place.a <= 0 or abs(abs(place.e) / place.a - 1) > SQUARE:
         raise InputError(f"{path}: its cells must be squares along the axes; resample it (gdalwarp -tr 5 5).")
     low = place.f + place.e * values.shape[0] if place.e < 0 else place.f
     values = values[::-1] if place.e < 0 else values
     corner = (place.c + place.a / 2, low + place.a / 2)
     return Raster(values.T, corner, float(place.a), system.to_string() if system is not None else "")
+
+
+def _check_metres(path: Path, crs: str) -> None:
+    """Raise an `InputError` where a length in a reference system is no length on the ground in metres.
+
+    Its unit stands in its well-known text; a number of EPSG has none, and is looked up where rasterio is installed.
+    """
+    text = _well_known_text(crs)
+    cure = "reproject it to a system in metres, such as UTM (gdalwarp -t_srs EPSG:326…)"
+    if re.search(r"\b(GEOG|GEOD)", text, re.IGNORECASE) and not re.search(
+        r"\b(PROJC|LOCAL_CS|ENG)", text, re.IGNORECASE
+    ):
+        raise InputError(f"{path}: its coordinates are degrees; {cure}.")
+    if re.search("Pseudo-Mercator|Mercator_Auxiliary_Sphere", text, re.IGNORECASE):
+        raise InputError(f"{path}: Web Mercator stretches lengths by 1 / cos(latitude); {cure}.")
+    for name, size in re.findall(r'\b(?:LENGTH)?UNIT\s*\[\s*"([^"]*)"\s*,\s*([-+.\deE]+)', text, re.IGNORECASE):
+        angle = re.search("degree|radian|grad|gon|second|minute", name, re.IGNORECASE)
+        if not angle and abs(float(size) - 1) > 1e-9:
+            raise InputError(f"{path}: its unit is {name} ({float(size):.7g} m), of places or heights; {cure}.")
+
+
+def _well_known_text(crs: str) -> str:
+    """Return a reference system as well-known text where rasterio knows it, else as it is."""
+    try:
+        import rasterio
+    except ImportError:
+        return crs
+    try:
+        with rasterio.Env():  # what GDAL has to say goes to Python's log
+            return str(rasterio.crs.CRS.from_user_input(crs).to_wkt()) if crs else ""
+    except rasterio.errors.CRSError:
+        return crs
