@@ -76,14 +76,14 @@ def test_the_python_measures_any_trajectory(capsys: pytest.CaptureFixture[str]) 
     assert area > 0.4 and volume == pytest.approx(0.04, rel=1e-5)
 
 
-@pytest.mark.parametrize("script", ["terrain_records", "dense_flow"])
+@pytest.mark.parametrize(("script", "arguments"), [("terrain_records", []), ("dense_flow", ["--from-table"])])
 def test_the_tables_of_the_page_are_those_of_the_files(
-    script: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    script: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     module = runpy.run_path(str(ROOT / "benchmarks" / f"{script}.py"))
     page = tmp_path / "terrain.md"
     page.write_text((ROOT / "docs" / "terrain.md").read_text(encoding="utf-8"), encoding="utf-8")
     module["main"].__globals__["PAGE"] = page
-    monkeypatch.setattr("sys.argv", [script, "--from-table"])
+    monkeypatch.setattr("sys.argv", [script, *arguments])
     module["main"]()
     assert page.read_text(encoding="utf-8") == (ROOT / "docs" / "terrain.md").read_text(encoding="utf-8")

@@ -14,7 +14,8 @@ from gns_pl.errors import InputError
 from gns_pl.io import read_trajectory
 from gns_pl.machine import available_cores
 from gns_pl.models.checkpoint import Checkpoint, save_checkpoint
-from gns_pl.scene import FACES, Body, Plane, Scene, Wall, column_collapse
+from gns_pl.presets import preset
+from gns_pl.scene import FACES, Body, Plane, Scene, Wall, column_collapse, read_scene
 from gns_pl.solvers.catalogue import make_solvers
 from gns_pl.solvers.hybrid import HybridSolver
 from gns_pl.solvers.learned import LearnedSolver
@@ -272,6 +273,24 @@ def test_the_chosen_way_is_run_once(tmp_path: Path, capsys: pytest.CaptureFixtur
         simulate_by_choice([column(), column()], out=out, tolerance=0.2, **settings)
     assert simulate_by_choice([column()], out=tmp_path / "none", tolerance=None, explain=True, **settings) == []
     assert not (tmp_path / "none").exists()
+
+
+def test_on_terrain_the_learned_one_is_among_the_choices() -> None:
+    """With the sand of its data; what is promised of it is the largest error on all terrains that were measured."""
+    scene = read_scene("runout")
+    solvers, records = make_solvers(preset("choice/default")), read_records(RECORDS)
+    own = {option.solver.name: option for option in estimate(scene, solvers, records)}
+    assert own["ground"].reason == "trained on another material" and own["mpm_5.09"].errors
+    sand = scene.replace(materials=read_scene("barrier").materials)
+    options = estimate(sand, solvers, records)
+    known = {option.solver.name: option for option in options if option.reason is None}
+    assert {"ground", "shallow", "mpm_5.09", "mpm_7.64"} <= set(known)
+    measured = [record for record in records if record.solver == "ground" and record.kind == "terrain"]
+    assert known["ground"].errors["map"] == max(record.map_error for record in measured if record.map_error is not None)
+    front = known["ground"].errors["front"]
+    chosen, why = choose(options, front + 0.01, "front")
+    assert chosen.solver.name == "ground" and "as measured on terrains (" in why
+    assert choose(options, front - 0.01, "front")[0].solver.name != "ground"
 
 
 def test_the_packages_records_are_of_its_ways() -> None:
