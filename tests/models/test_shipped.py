@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ def test_each_has_a_card_and_its_provenance(name: str, tmp_path: Path, monkeypat
     assert checkpoint.provenance["config"]["name"] == name and checkpoint.provenance["steps"] > 0
     assert (FOLDER / f"{name}.md").read_text(encoding="utf-8").split("---\n", 2)[2].startswith(f"# {name}\n")
     assert find_checkpoint(name).stat().st_size < 1e7
+    of_a_machine = re.findall(r"'(?:/|[A-Z]:)[\w.-]+/[^']*'", repr(checkpoint.provenance))
+    assert not of_a_machine, "paths of the machine on which it was trained"
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.corrector")), ids=lambda path: path.stem)
