@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,14 +36,19 @@ class OfflineRun:
 
 
 def read_offline_run(folder: Path) -> OfflineRun:
-    """Return what stands in the folder `offline-run-…`."""
+    """Return what stands in the folder `offline-run-…`, when its end does: W&B's own process writes behind `finish`."""
     from wandb.proto.wandb_internal_pb2 import Record
 
-    (path,) = folder.glob("run-*.wandb")
+    deadline, whole = time.monotonic() + 20, False
+    while not whole and time.monotonic() < deadline:
+        found = [
+            Record.FromString(content) for path in folder.glob("run-*.wandb") for content in records(path.read_bytes())
+        ]
+        whole = any(record.HasField("exit") for record in found)
+        time.sleep(0.0 if whole else 0.1)
+    assert whole, f"{folder}: W&B did not write the run to its end"
     group, job_type, config, summary = "", "", dict[str, Any](), dict[str, Any]()
-    for content in records(path.read_bytes()):
-        record = Record()
-        record.ParseFromString(content)
+    for record in found:
         if record.HasField("run"):
             group, job_type = record.run.run_group, record.run.job_type
         config |= {item.key: json.loads(item.value_json) for item in record.config.update}
@@ -63,7 +69,7 @@ def media(folder: Path, run: OfflineRun) -> set[str]:
 
 
 def records(content: bytes) -> Iterator[bytes]:
-    """Yield the records of a file, put together from their parts."""
+    """Yield the records of a file, as far as they are written, put together from their parts."""
     place, parts = HEADER, list[bytes]()
     while place + HEADER <= len(content):
         if BLOCK - place % BLOCK < HEADER:  # too little room for a part: the next block
@@ -71,6 +77,8 @@ def records(content: bytes) -> Iterator[bytes]:
             continue
         _, length, kind = struct.unpack("<IHB", content[place : place + HEADER])
         place += HEADER
+        if place + length > len(content):  # it is being written
+            return
         parts = [*(() if kind in (WHOLE, FIRST) else parts), content[place : place + length]]
         place += length
         if kind in (WHOLE, LAST):

@@ -51,6 +51,12 @@ def override(key: str, value: str | Path) -> str:
     return shlex.quote(f"{key}={quoted_value(value)}")
 
 
+def shown_path(path: str | Path) -> str:
+    """Return a path relative to the working directory if it lies below it."""
+    path = Path(path)
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
 def file_label(*changes: str) -> str:
     """Return what was changed, as a part of a file's name; what would be too long is cut and ends in a hash."""
     text = "_".join(changes)

@@ -15,6 +15,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from gns_pl.scene.changes import decoded
+from gns_pl.text import shown_path
 
 JOB_FILE = "job.json"
 COLUMNS = ("job", "changed", "time_s", "runout_m", "height_m", "file", "status")
@@ -75,14 +76,8 @@ def read_rows(folder: Path) -> list[dict[str, str]]:
     for number in sorted(jobs):
         content = json.loads(jobs[number].read_text(encoding="utf-8"))
         shared = {"job": str(number), "changed": content["changed"], "status": content["status"]}
-        rows += [{**shared, **measured(Path(file)), "file": shown(file)} for file in content["files"]] or [shared]
+        rows += [{**shared, **measured(Path(file)), "file": shown_path(file)} for file in content["files"]] or [shared]
     return rows
-
-
-def shown(file: str) -> str:
-    """Return the path of a file relative to where the command runs, if it lies below."""
-    path = Path(file)
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else file
 
 
 def measured(path: Path) -> dict[str, str]:

@@ -8,9 +8,9 @@ from omegaconf import DictConfig
 
 from gns_pl.commands.command import CONF, job, start
 from gns_pl.models.shipped import CORRECTOR, CORRECTOR_KIND
-from gns_pl.text import command, override
+from gns_pl.text import command, override, shown_path
 from gns_pl.training.resume import find_resume
-from gns_pl.training.summary import objective, shown_path
+from gns_pl.training.summary import objective
 from gns_pl.training.sweep import sweep_reported
 
 

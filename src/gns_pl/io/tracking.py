@@ -15,6 +15,7 @@ from typing import Any, Literal, ParamSpec
 
 from gns_pl.errors import InputError
 from gns_pl.machine import provide_home
+from gns_pl.text import shown_path
 
 P = ParamSpec("P")
 Mode = Literal["disabled", "offline", "online"]
@@ -51,8 +52,7 @@ def unless_disabled(log: Callable[P, Path]) -> Callable[P, list[Path]]:
         if wandb_mode(True) == "disabled":
             return []
         try:
-            folder, here = log(*args, **kwargs), Path.cwd()
-            return [folder.relative_to(here) if folder.is_relative_to(here) else folder]
+            return [Path(shown_path(log(*args, **kwargs)))]
         except OSError as error:
             print(f"W&B could not write its files ({error}); the results are on disk without.", file=sys.stderr)
             return []

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gns_pl.models.shipped import is_corrector
-from gns_pl.text import command, override
+from gns_pl.text import command, override, shown_path
 from gns_pl.training.validation import DEPOSIT
 
 FORMAT = "gns_pl training summary"
@@ -79,12 +79,6 @@ def summary_lines(summary: Mapping[str, Any]) -> list[str]:
     judge = "benchmark" if is_corrector(summary["checkpoint"]) else "evaluate"
     lines.append(f"  to judge it {command(judge)} {override('ckpt', shown_path(summary['checkpoint']))}")
     return lines
-
-
-def shown_path(path: str | Path) -> str:
-    """Return a path relative to the working directory if it lies below it."""
-    path = Path(path)
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 def described(values: Mapping[str, float | None]) -> str:
